@@ -1,0 +1,33 @@
+"""jaxbeads: differentiable bead models of flexible fibres and micro-swimmers in Stokes flow.
+
+Pure functions of equinox Modules that only hold parameters: build a `Scene`, give it a `State`, and
+`rollout` (pure) or `simulate` (with progress, files and checks). Method: Delmotte, Climent &
+Plouraboué, J. Comput. Phys. 286 (2015) 14-37.
+"""
+
+from . import constraint as constraint
+from . import dynamics as dynamics
+from . import flow as flow
+from . import force as force
+from . import geometry as geometry
+from . import mobility as mobility
+from . import numbers as numbers
+from . import observables as observables
+from . import scenes as scenes
+from . import solver as solver
+from . import tensors as tensors
+from .breakdown import SimulationError as SimulationError
+from .chain import Chain as Chain
+from .chain import from_tangents as from_tangents
+from .chain import straight as straight
+from .files import load as load
+from .rollout import Solution as Solution
+from .rollout import rollout as rollout
+from .scene import Scene as Scene
+from .scene import check as check
+from .simulate import resume as resume
+from .simulate import simulate as simulate
+from .solver import AB3 as AB3
+from .state import Load as Load
+from .state import Motion as Motion
+from .state import State as State

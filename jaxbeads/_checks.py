@@ -1,0 +1,76 @@
+"""The error sentences: bad input is refused before anything is traced.
+
+Each check says "Argument `x` must ..., but ...". A value that is being traced is not known yet and
+passes; shapes are always known.
+"""
+
+from typing import Any
+
+import jax
+import numpy as np
+
+
+def known(value: Any) -> bool:
+    """Whether every array in `value` holds numbers now (not a tracer, not a placeholder)."""
+    return all(
+        isinstance(leaf, (jax.Array, np.ndarray, np.generic, int, float))
+        and not isinstance(leaf, jax.core.Tracer)
+        for leaf in jax.tree.leaves(value)
+    )
+
+
+def fail(name: str, must: str, but: str) -> None:
+    """Raise the sentence of this project."""
+    raise ValueError(f"Argument `{name}` must {must}, but {but}.")
+
+
+def finite(name: str, value: Any) -> None:
+    """All entries finite."""
+    if known(value) and not np.all(np.isfinite(value)):
+        where = np.argwhere(~np.isfinite(np.asarray(value)))[0].tolist()
+        at = f" at index {where}" if where else ""
+        fail(name, "be finite", f"it holds {np.asarray(value)[tuple(where)]}{at}")
+
+
+def positive(name: str, value: Any) -> None:
+    """All entries finite and > 0."""
+    finite(name, value)
+    if known(value) and not np.all(np.asarray(value) > 0):
+        fail(name, "be positive", f"its smallest value is {np.min(value):g}")
+
+
+def non_negative(name: str, value: Any) -> None:
+    """All entries finite and >= 0."""
+    finite(name, value)
+    if known(value) and not np.all(np.asarray(value) >= 0):
+        fail(name, "not be negative", f"its smallest value is {np.min(value):g}")
+
+
+def shape(name: str, value: Any, *allowed: tuple[int, ...]) -> None:
+    """The shape is one of `allowed`."""
+    if np.shape(value) not in allowed:
+        wanted = " or ".join(str(s) for s in allowed)
+        fail(name, f"have shape {wanted}", f"it has shape {np.shape(value)}")
+
+
+def whole(name: str, value: Any, least: int) -> None:
+    """A whole number that is at least `least`."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
+        fail(name, "be a whole number", f"it is {value!r}")
+    if value < least:
+        fail(name, f"be at least {least}", f"it is {value}")
+
+
+def increasing(name: str, value: Any) -> None:
+    """A strictly increasing sequence of at least two finite numbers."""
+    if np.ndim(value) != 1 or np.shape(value)[0] < 2:
+        fail(name, "be a sequence of at least two times", f"it has shape {np.shape(value)}")
+    finite(name, value)
+    if known(value) and not np.all(np.diff(value) > 0):
+        bad = int(np.argmin(np.diff(value) > 0))
+        fail(
+            name,
+            "increase from entry to entry",
+            f"entry {bad + 1} ({float(value[bad + 1]):g}) does not exceed entry {bad} "
+            f"({float(value[bad]):g})",
+        )

@@ -1,0 +1,37 @@
+"""The one way in which numbers become leaves."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+
+def float_array(value: Any) -> jax.Array:
+    """Turn a number, a list or an array into a floating-point JAX array.
+
+    A Python float as a field would be a compile-time constant: every new value would compile
+    again, and it would have no gradient.
+    """
+    array = jnp.asarray(value)
+    return array if jnp.issubdtype(array.dtype, jnp.floating) else array.astype(float)
+
+
+def optional_float_array(value: Any) -> jax.Array | None:
+    """As `float_array`, but `None` stays `None`."""
+    return None if value is None else float_array(value)
+
+
+def parameter(**kwargs: Any) -> Any:
+    """A physical parameter: a field that is always a floating-point array, hence a leaf."""
+    return eqx.field(converter=float_array, **kwargs)
+
+
+def leaf_function(function: Any) -> Any:
+    """Make a plain function a pytree without leaves, so that a module that holds it can be jitted.
+
+    Callables that are pytrees already (an `equinox.Module`, a `jax.tree_util.Partial`) stay as they
+    are, with their leaves.
+    """
+    plain = jax.tree.structure(function) == jax.tree.structure(0)
+    return jax.tree_util.Partial(function) if plain else function

@@ -1,0 +1,148 @@
+"""Why a run broke down: the step, the bead and the term, in a sentence that says what to do."""
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .constraint import AbstractChainConstraint
+from .dynamics import ambient_motion, constraint_matrix
+from .rollout import Solution, Stepper
+from .scene import Scene
+from .solver import FixedSteps, bending_step
+from .solver.stepping import Carry
+from .state import Load, State
+
+
+@dataclass(frozen=True)
+class Cause:
+    """Where and why: number of the step, time at its start, bead, name of the term, sentence."""
+
+    step: int
+    time: float
+    bead: int | None
+    term: str
+    message: str
+
+
+class SimulationError(RuntimeError):
+    """A run that broke down. `cause` says where and why; `solution` ends with the last good state."""
+
+    def __init__(self, cause: Cause, solution: Solution) -> None:
+        super().__init__(cause.message)
+        self.cause = cause
+        self.solution = solution
+
+
+def bond_error(scene: Scene, state: State) -> tuple[float, int]:
+    """Largest relative bond-length error and the bond where it is."""
+    worst, at = 0.0, 0
+    for constraint in scene.constraints:
+        if isinstance(constraint, AbstractChainConstraint) and scene.chain.beads > 1:
+            drift = np.abs(np.asarray(constraint.drift(state, scene.chain)))
+            if not drift.max() <= worst:
+                worst, at = float(drift.max()), int(np.argmax(drift))
+    return worst, at
+
+
+def _size(load: Load) -> float:
+    parts = [np.abs(np.asarray(x)) for x in (load.force, load.torque) if x is not None]
+    return max((float(x.max()) for x in parts), default=0.0)
+
+
+def guilty_term(t: float, state: State, scene: Scene) -> tuple[str, str]:
+    """Name of the term that fails at this state, or that is largest, and how it fails."""
+    largest, size = "", 0.0
+    for force in scene.forces:
+        name, value = type(force).__name__, _size(force.load(jnp.asarray(t), state, scene.chain))
+        if not np.isfinite(value):
+            return name, "its load is not finite"
+        if value > size:
+            largest, size = name, value
+    ambient = ambient_motion(t, state, scene)
+    if ambient is not None and not np.all(np.isfinite(ambient.velocity)):
+        return type(scene.flow).__name__, "its velocity is not finite"
+    if scene.constraints:
+        matrix = np.asarray(constraint_matrix(t, state, scene))
+        names = " + ".join(type(c).__name__ for c in scene.constraints)
+        if not np.all(np.isfinite(matrix)):
+            return names, "the matrix J M J^T is not finite"
+        values = np.linalg.eigvalsh(matrix)
+        if values[0] <= 1e-13 * values[-1]:
+            how = f"J M J^T is singular (eigenvalues {values[0]:.1e} to {values[-1]:.1e})"
+            return names, f"{how}: constraints are redundant or contradict one another"
+    return (largest, f"it has the largest load, {size:.3g}") if largest else ("time step", "")
+
+
+def _smallest_gap(scene: Scene, state: State) -> str:
+    x, a = np.asarray(state.position), np.asarray(scene.chain.radii)
+    if len(x) < 2:
+        return ""
+    gap = np.linalg.norm(x[:, None] - x[None], axis=-1) - a[:, None] - a[None, :]
+    np.fill_diagonal(gap, np.inf)
+    i, j = sorted(int(k) for k in np.unravel_index(np.argmin(gap), gap.shape))
+    return f" The smallest gap is {gap[i, j]:.3g} (beads {i} and {j})."
+
+
+def explain(
+    scene: Scene, good: State, t: float, step: int, bad: State | None, advice: str = ""
+) -> Cause:
+    """The cause from the last good state, at time t, and what the step from there made of it."""
+    term, how = guilty_term(t, good, scene)
+    bead, what = None, "the motion is not finite"
+    if bad is not None:
+        finite = np.isfinite(np.asarray(bad.position)).all(axis=1)
+        error, bond = bond_error(scene, bad)
+        if not finite.all():
+            bead = int(np.argmin(finite))
+            what = f"bead {bead} has no finite position"
+        elif error > 0:
+            bead = bond
+            what = f"the bond of beads {bond} and {bond + 1} is off its length by {100 * error:.2g} %"
+    message = (
+        f"The run broke down at step {step} (t = {t:.6g}): {what}. Term: {term}"
+        f"{', ' + how if how else ''}.{_smallest_gap(scene, good)}{advice} The last good state is the "
+        "end of this error's `solution` (and of the file, if there is one)."
+    )
+    return Cause(step, t, bead, term, message)
+
+
+def step_advice(scene: Scene, step: float) -> str:
+    """What the time step has to do with it."""
+    limit = float(bending_step(scene))
+    if not np.isfinite(limit):
+        return f" The time step was {step:.3g}; try more `substeps`."
+    return (
+        f" The time step was {step:.3g}, {step / limit:.3g} times that of eq. (39) (AB3 is stable to "
+        "about 2.2 times); use more `substeps` or a `controller`."
+    )
+
+
+_step = eqx.filter_jit(lambda stepper, *args: stepper.step(*args))
+
+
+def locate(
+    stepper: Stepper, scene: Scene, carry: Carry, t0: float, t1: float, bond_tolerance: float
+) -> Cause:
+    """Repeat the interval in which the run broke down, step by step, and say where it does."""
+    good = carry.state
+    if not isinstance(stepper, FixedSteps):
+        bad = jax.tree.map(lambda x: jnp.full_like(x, jnp.nan), good)
+        advice = (
+            " The controller found no step that works: loosen its tolerances, raise `max_steps`, or "
+            "take an implicit solver."
+        )
+        return explain(scene, good, t0, int(carry.steps), bad, advice)
+    h = (t1 - t0) / stepper.substeps
+    start, end = (jnp.asarray(t, good.position.dtype) for t in (t0, t1))
+    for index in range(stepper.substeps):
+        new = _step(stepper, scene, carry, start, end, jnp.asarray(index))
+        error, _ = bond_error(scene, new.state)
+        fine = np.all(np.isfinite(new.state.position)) and error <= bond_tolerance
+        if not fine:
+            advice = step_advice(scene, h)
+            return explain(scene, carry.state, t0 + index * h, int(carry.steps), new.state, advice)
+        carry = new
+    return explain(scene, carry.state, t1, int(carry.steps), carry.state, step_advice(scene, h))

@@ -1,0 +1,139 @@
+"""`Chain`: which beads there are and which are neighbours; initial shapes."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ._checks import fail, finite, positive, shape, whole
+from ._typing import float_array, parameter
+from .geometry import unit
+from .state import State
+
+
+class Chain(eqx.Module):
+    """Beads in a row, cut into one or several fibres.
+
+    Every row of neighbours is stored, also where one fibre ends and the next begins; masks say which
+    bonds and joints exist. So one fibre and many, of equal or unequal lengths, run the same slices.
+
+    **Arguments**
+
+    - `radius`: bead radius a [length], one for all or one per bead.
+    - `fibres`: number of beads of the fibre, or a sequence with the number of each fibre.
+
+    **Raises** `ValueError` for a radius that is not positive or does not fit the number of beads.
+    """
+
+    radius: Float[Array, ""] | Float[Array, " beads"] = parameter()
+    fibres: tuple[int, ...] = eqx.field(static=True)
+
+    def __init__(self, radius: Any, fibres: int | Sequence[int]) -> None:
+        self.radius = float_array(radius)
+        numbers = (fibres,) if isinstance(fibres, (int, np.integer)) else tuple(fibres)
+        if not numbers:
+            fail("fibres", "name at least one fibre", "it is empty")
+        for number in numbers:
+            whole("fibres", number, 1)
+        self.fibres = tuple(int(n) for n in numbers)
+
+    def __check_init__(self) -> None:
+        shape("radius", self.radius, (), (self.beads,))
+        positive("radius", self.radius)
+
+    @property
+    def beads(self) -> int:
+        """Number of beads of all fibres."""
+        return sum(self.fibres)
+
+    @property
+    def fibre_of_bead(self) -> np.ndarray:
+        """Index of the fibre of each bead, shape `(beads,)`."""
+        return np.repeat(np.arange(len(self.fibres)), self.fibres)
+
+    @property
+    def bond_mask(self) -> np.ndarray:
+        """Whether beads i and i + 1 are neighbours in one fibre, shape `(beads - 1,)`."""
+        fibre = self.fibre_of_bead
+        return fibre[1:] == fibre[:-1]
+
+    @property
+    def joint_mask(self) -> np.ndarray:
+        """Whether beads i - 1, i, i + 1 belong to one fibre, shape `(beads - 2,)`."""
+        return self.bond_mask[1:] & self.bond_mask[:-1]
+
+    @property
+    def radii(self) -> Float[Array, " beads"]:
+        """Radius of each bead [length]."""
+        return jnp.broadcast_to(self.radius, (self.beads,))
+
+    @property
+    def bond_length(self) -> Float[Array, " bonds"]:
+        """Distance a_i + a_{i+1} of touching neighbours [length]."""
+        return self.radii[:-1] + self.radii[1:]
+
+    @property
+    def length(self) -> Float[Array, " fibres"]:
+        """Contour length of each fibre, the sum of its beads' diameters (2 a N) [length]."""
+        ends = np.cumsum((0, *self.fibres))
+        return jnp.stack([2 * self.radii[i:j].sum() for i, j in zip(ends[:-1], ends[1:], strict=True)])
+
+    def centres(self, position: Float[Array, "beads dim"]) -> Float[Array, "fibres dim"]:
+        """Mean position of each fibre's beads."""
+        member = self.fibre_of_bead == np.arange(len(self.fibres))[:, None]
+        return (member / member.sum(1, keepdims=True)) @ position
+
+
+def from_tangents(chain: Chain, tangents: Any, centre: Any = None) -> Float[Array, "beads dim"]:
+    """Positions of touching beads from the directions of their bonds.
+
+    **Arguments**
+
+    - `tangents`: directions from bead i to i + 1, shape `(beads - 1, dim)`; normalised here; those
+      between two fibres are not used.
+    - `centre`: mean position of the beads [length], shape `(dim,)` or one for each fibre,
+      `(fibres, dim)`; the origin by default.
+
+    **Returns** positions, shape `(beads, dim)`. **Raises** `ValueError` for shapes that do not fit.
+    """
+    tangents = float_array(tangents)
+    if tangents.ndim != 2 or tangents.shape[0] != chain.beads - 1 or tangents.shape[1] not in (2, 3):
+        fail("tangents", f"have shape ({chain.beads - 1}, 2 or 3)", f"it has shape {tangents.shape}")
+    finite("tangents", tangents)
+    dim = tangents.shape[1]
+    centre = jnp.zeros(dim) if centre is None else float_array(centre)
+    shape("centre", centre, (dim,), (len(chain.fibres), dim))
+    finite("centre", centre)
+    return place(chain, unit(tangents), jnp.broadcast_to(centre, (len(chain.fibres), dim)))
+
+
+def place(
+    chain: Chain, tangents: Float[Array, "bonds dim"], centres: Float[Array, "fibres dim"]
+) -> Float[Array, "beads dim"]:
+    """As `from_tangents`, for unit tangents and one centre for each fibre, without checks."""
+    step = tangents * (chain.bond_length * chain.bond_mask)[:, None]
+    position = jnp.pad(jnp.cumsum(step, axis=0), ((1, 0), (0, 0)))
+    return position + (centres - chain.centres(position))[chain.fibre_of_bead]
+
+
+def straight(chain: Chain, direction: Any, centre: Any = None) -> State:
+    """Straight fibres.
+
+    **Arguments**
+
+    - `direction`: from the first bead to the last, shape `(dim,)` or one for each fibre,
+      `(fibres, dim)`. Its number of components, 2 or 3, makes the scene planar or spatial.
+    - `centre`: as in `from_tangents`.
+
+    **Raises** `ValueError` for a zero direction or shapes that do not fit.
+    """
+    direction = float_array(direction)
+    fibres = len(chain.fibres)
+    shape("direction", direction, (2,), (3,), (fibres, 2), (fibres, 3))
+    finite("direction", direction)
+    positive("direction (its length)", jnp.linalg.norm(direction, axis=-1))
+    each = jnp.broadcast_to(direction, (fibres, direction.shape[-1]))[chain.fibre_of_bead[:-1]]
+    return State(from_tangents(chain, each, centre))

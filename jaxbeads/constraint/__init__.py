@@ -1,0 +1,9 @@
+"""Kinematic constraints J Qdot + B = 0, enforced by Lagrange multipliers.
+
+`Gears` (rolling contact of neighbours). A new one is a class derived from `AbstractConstraint` in a
+file of its own, a line here and a line in `tests/cases.py`.
+"""
+
+from .base import AbstractChainConstraint as AbstractChainConstraint
+from .base import AbstractConstraint as AbstractConstraint
+from .gears import Gears as Gears

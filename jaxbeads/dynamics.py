@@ -1,0 +1,189 @@
+"""The one place where mobility, constraints, forces and flow meet.
+
+Solves, for one instant, the saddle-point system of Delmotte, Climent & Plouraboué (2015), eqs (5),
+(11)-(17): Qdot = M (F + J^T lambda) + V_inf + C:E with J Qdot + B = 0.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float
+
+from .constraint import AbstractChainConstraint
+from .flow.base import spin_and_strain, velocity_and_gradient
+from .geometry import spin_cross
+from .mobility import MobilityOperator
+from .scene import Scene
+from .state import Load, Motion, State, add_loads, add_motions, zero_motion
+from .tensors import PairTensor
+
+Time = Float[Array, ""] | float
+
+
+class Evaluation(NamedTuple):
+    """What one instant yields."""
+
+    motion: Motion
+    multipliers: Array
+    """Lagrange multipliers of all constraints in turn, raveled [force]."""
+
+
+def applied_load(t: Time, state: State, scene: Scene) -> Load:
+    """Sum of the forces' loads, without those of the constraints."""
+    return add_loads(*(force.load(jnp.asarray(t), state, scene.chain) for force in scene.forces))
+
+
+def ambient_motion(t: Time, state: State, scene: Scene) -> Motion | None:
+    """V_inf + C : E, the motion of beads without load; `None` without a flow."""
+    if scene.flow is None:
+        return None
+    velocity, gradient = velocity_and_gradient(scene.flow, jnp.asarray(t), state.position)
+    spin, strain = spin_and_strain(gradient)
+    carried = zero_motion(state, scene.rotational)
+    if carried.spin is not None:
+        carried = Motion(velocity, jnp.broadcast_to(spin, carried.spin.shape))
+    else:
+        carried = Motion(velocity)
+    position, radius = state.position, scene.chain.radius
+    disturbance = scene.mobility.shear_disturbance(position, radius, strain, scene.rotational)
+    return carried if disturbance is None else add_motions(carried, disturbance)
+
+
+def _free_motion(t: Time, state: State, scene: Scene, operator: MobilityOperator) -> Motion:
+    load, ambient = applied_load(t, state, scene), ambient_motion(t, state, scene)
+    if load.force is None and load.torque is None:
+        return zero_motion(state, scene.rotational) if ambient is None else ambient
+    free = operator.motion(load)
+    return free if ambient is None else add_motions(free, ambient)
+
+
+def _slips(t: Time, state: State, scene: Scene) -> Callable[[Motion], Array]:
+    """All constraints' residuals as one vector; affine in the motion."""
+
+    def slip(motion: Motion) -> Array:
+        rows = (c.slip(jnp.asarray(t), state, motion, scene.chain) for c in scene.constraints)
+        return jnp.concatenate([jnp.ravel(row) for row in rows])
+
+    return slip
+
+
+class _Constraints(NamedTuple):
+    """J as a pair of linear functions."""
+
+    slip: Callable[[Motion], Array]  # J Qdot + B
+    offset: Array  # B
+    pull: Callable[[Array], Load]  # J^T lambda
+
+    def compliance(self, operator: MobilityOperator, multipliers: Array) -> Array:
+        """J M J^T lambda."""
+        return self.slip(operator.motion(self.pull(multipliers))) - self.offset
+
+
+def _constraints(t: Time, state: State, scene: Scene) -> _Constraints:
+    slip = _slips(t, state, scene)
+    offset, transpose = jax.vjp(slip, zero_motion(state, scene.rotational))
+
+    def pull(multipliers: Array) -> Load:
+        (pulled,) = transpose(multipliers)
+        return Load(pulled.velocity, pulled.spin)
+
+    return _Constraints(slip, offset, pull)
+
+
+def _matrix(t: Time, state: State, scene: Scene, operator: MobilityOperator) -> Array:
+    """S = J M J^T, its lower triangle.
+
+    The first constraint assembles its own block where it can. All other rows are found by applying
+    M to one unit multiplier after the other, vectorised.
+    """
+    j = _constraints(t, state, scene)
+    rows, first, time = j.offset.shape[0], scene.constraints[0], jnp.asarray(t)
+    direct = isinstance(first, AbstractChainConstraint) and isinstance(operator, PairTensor)
+    if direct:
+        block = first.assemble(time, state, operator, scene.chain)
+        if block.shape[0] == rows:
+            return block
+    known = block.shape[0] if direct else 0
+    units = jnp.eye(rows - known, rows, known, dtype=j.offset.dtype)
+    rest = jax.vmap(lambda unit: j.compliance(operator, unit))(units)
+    if not direct:
+        return rest
+    return jnp.concatenate([jnp.pad(block, ((0, 0), (0, rows - known))), rest])
+
+
+def evaluate(t: Time, state: State, scene: Scene) -> Evaluation:
+    """Motion and multipliers at one instant.
+
+    S is factorised once. Derivatives go through the linear system (implicit function), never through
+    the factorisation: they reuse the factor and differentiate J M J^T lambda for fixed lambda.
+
+    **Arguments**: time; `State`; `Scene`. **Returns** an `Evaluation`; its numbers are NaN if S is
+    not positive definite (redundant constraints).
+    """
+    position, chain = state.position, scene.chain
+    operator = scene.mobility.operator(position, chain.radius, scene.viscosity, scene.rotational)
+    free = _free_motion(t, state, scene, operator)
+    if not scene.constraints:
+        return Evaluation(free, jnp.zeros((0,), position.dtype))
+    j = _constraints(t, state, scene)
+    factor = lax.linalg.cholesky(
+        _matrix(*lax.stop_gradient((t, state, scene, operator))), symmetrize_input=False
+    )
+
+    def solve(_: Callable[[Array], Array], rhs: Array) -> Array:
+        return jax.scipy.linalg.cho_solve((factor, True), rhs)
+
+    multipliers = lax.custom_linear_solve(
+        lambda x: j.compliance(operator, x), -j.slip(free), solve, symmetric=True
+    )
+    return Evaluation(add_motions(free, operator.motion(j.pull(multipliers))), multipliers)
+
+
+def motion(t: Time, state: State, scene: Scene) -> Motion:
+    """Velocities and spins of all beads at one instant."""
+    return evaluate(t, state, scene).motion
+
+
+def multipliers(t: Time, state: State, scene: Scene) -> Array:
+    """Lagrange multipliers lambda of all constraints, raveled one after the other [force]."""
+    return evaluate(t, state, scene).multipliers
+
+
+def constraint_load(t: Time, state: State, scene: Scene) -> Load:
+    """Forces and torques of the constraints, J^T lambda, eq. (11)."""
+    return _constraints(t, state, scene).pull(multipliers(t, state, scene))
+
+
+def constraint_matrix(t: Time, state: State, scene: Scene) -> Float[Array, "rows rows"]:
+    """S = J M J^T in full (only needed to look at it: condition, rank)."""
+    operator = scene.mobility.operator(
+        state.position, scene.chain.radius, scene.viscosity, scene.rotational
+    )
+    lower = jnp.tril(_matrix(t, state, scene, operator))
+    return lower + jnp.tril(lower, -1).T
+
+
+def constraint_residual(t: Time, state: State, scene: Scene) -> Float[Array, ""]:
+    """Norm of J Qdot + B over the scale of the velocities and the number of rows, eq. (49).
+
+    Zero up to rounding when the multipliers do their work.
+    """
+    if not scene.constraints:
+        return jnp.zeros((), state.position.dtype)
+    moved = motion(t, state, scene)
+    slip = _slips(t, state, scene)(moved)
+    scale = jnp.max(jnp.abs(moved.velocity))
+    return jnp.linalg.norm(slip) / (slip.shape[0] * jnp.where(scale == 0, 1.0, scale))
+
+
+def rate(t: Time, state: State, scene: Scene) -> State:
+    """Time derivative of the state: the right-hand side that the solvers integrate, eqs (38), (48)."""
+    moved = motion(t, state, scene)
+    if state.director is None:
+        return State(moved.velocity)
+    if moved.spin is None:
+        raise ValueError("Argument `state` must hold no directors, but no term of the scene turns beads.")
+    return State(moved.velocity, spin_cross(moved.spin, state.director))

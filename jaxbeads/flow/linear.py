@@ -1,0 +1,83 @@
+"""Flows with a uniform gradient."""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._checks import fail, finite
+from .._typing import float_array, parameter
+from .base import AbstractLinearFlow
+
+
+class Shear(AbstractLinearFlow):
+    """Simple shear, u_x = rate y. **Argument** `rate`: shear rate [1/time]."""
+
+    rate: Float[Array, ""] = parameter()
+
+    def __check_init__(self) -> None:
+        finite("rate", self.rate)
+
+    def gradient(self, t: Float[Array, ""], dim: int) -> Float[Array, "dim dim"]:
+        """rate at entry (x, y)."""
+        return jnp.zeros((dim, dim), self.rate.dtype).at[0, 1].set(self.rate)
+
+
+class OscillatingShear(AbstractLinearFlow):
+    """Time-dependent shear, u_x = rate cos(angular_frequency t + phase) y.
+
+    **Arguments** `rate` [1/time], `angular_frequency` [rad/time], `phase` [rad].
+    """
+
+    rate: Float[Array, ""] = parameter()
+    angular_frequency: Float[Array, ""] = parameter()
+    phase: Float[Array, ""] = parameter(default=0.0)
+
+    def __check_init__(self) -> None:
+        finite("rate", self.rate)
+        finite("angular_frequency", self.angular_frequency)
+
+    def gradient(self, t: Float[Array, ""], dim: int) -> Float[Array, "dim dim"]:
+        """The present rate at entry (x, y)."""
+        rate = self.rate * jnp.cos(self.angular_frequency * t + self.phase)
+        return jnp.zeros((dim, dim), self.rate.dtype).at[0, 1].set(rate)
+
+
+class Extension(AbstractLinearFlow):
+    """Planar extension, u = rate (x, -y). **Argument** `rate` [1/time]."""
+
+    rate: Float[Array, ""] = parameter()
+
+    def __check_init__(self) -> None:
+        finite("rate", self.rate)
+
+    def gradient(self, t: Float[Array, ""], dim: int) -> Float[Array, "dim dim"]:
+        """rate, -rate on the diagonal."""
+        return jnp.zeros((dim, dim), self.rate.dtype).at[0, 0].set(self.rate).at[1, 1].set(-self.rate)
+
+
+class LinearFlow(AbstractLinearFlow):
+    """Any linear flow, u = G x.
+
+    **Argument** `matrix`: G_ij = du_i/dx_j [1/time], shape `(2, 2)` or `(3, 3)`. In space it must be
+    free of divergence; in the plane the normal direction makes up for what is missing.
+
+    **Raises** `ValueError` for another shape or a spatial gradient with a trace.
+    """
+
+    matrix: Float[Array, "dim dim"] = eqx.field(converter=float_array)
+
+    def __init__(self, matrix: Any) -> None:
+        self.matrix = float_array(matrix)
+
+    def __check_init__(self) -> None:
+        if self.matrix.shape not in ((2, 2), (3, 3)):
+            fail("matrix", "have shape (2, 2) or (3, 3)", f"it has shape {self.matrix.shape}")
+        finite("matrix", self.matrix)
+
+    def gradient(self, t: Float[Array, ""], dim: int) -> Float[Array, "dim dim"]:
+        """The matrix."""
+        if self.matrix.shape[0] != dim:
+            fail("matrix", f"have shape {(dim, dim)}", f"it has shape {self.matrix.shape}")
+        return self.matrix

@@ -1,0 +1,26 @@
+"""Pressure-driven flow between plates."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._checks import finite, positive
+from .._typing import parameter
+from .base import AbstractFlow
+
+
+class Poiseuille(AbstractFlow):
+    """Plane Poiseuille flow, u_x = speed (1 - (y / half_width)^2). The plates are not modelled.
+
+    **Arguments** `speed` on the centre line [length/time], `half_width` [length], positive.
+    """
+
+    speed: Float[Array, ""] = parameter()
+    half_width: Float[Array, ""] = parameter()
+
+    def __check_init__(self) -> None:
+        finite("speed", self.speed)
+        positive("half_width", self.half_width)
+
+    def velocity(self, t: Float[Array, ""], x: Float[Array, " dim"]) -> Float[Array, " dim"]:
+        """The parabola."""
+        return jnp.zeros_like(x).at[0].set(self.speed * (1 - (x[1] / self.half_width) ** 2))

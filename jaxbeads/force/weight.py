@@ -1,0 +1,38 @@
+"""Weight: the same force on each bead, always."""
+
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._checks import fail, finite
+from .._typing import float_array, parameter
+from ..chain import Chain
+from ..state import Load, State
+from .base import AbstractForce
+
+
+class Weight(AbstractForce):
+    """Constant force on each bead (buoyancy subtracted).
+
+    **Arguments**
+
+    - `force`: force on a bead [force], shape `(dim,)` for all alike or `(beads, dim)`.
+
+    **Raises** `ValueError` for forces that are not finite or of another shape.
+    """
+
+    rotational: ClassVar[bool] = False
+    force: Float[Array, " dim"] | Float[Array, "beads dim"] = parameter()
+
+    def __init__(self, force: Any) -> None:
+        self.force = float_array(force)
+
+    def __check_init__(self) -> None:
+        if self.force.ndim not in (1, 2) or self.force.shape[-1] not in (2, 3):
+            fail("force", "have shape (dim,) or (beads, dim)", f"it has shape {self.force.shape}")
+        finite("force", self.force)
+
+    def load(self, t: Float[Array, ""], state: State, chain: Chain) -> Load:
+        """The weight of each bead."""
+        return Load(force=jnp.broadcast_to(self.force, state.position.shape))

@@ -1,0 +1,61 @@
+"""Geometry of a row of beads: bonds, tangents, turning, curvature. Pure functions of positions.
+
+`position` has shape `(..., beads, dim)`; functions act on the last two axes.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+def norm(vector: Float[Array, "*batch dim"]) -> Float[Array, "*batch"]:
+    """Length of vectors, with derivative 0 (not NaN) at the zero vector."""
+    square = jnp.sum(vector * vector, axis=-1)
+    zero = square == 0
+    return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, square)))
+
+
+def unit(vector: Float[Array, "*batch dim"]) -> Float[Array, "*batch dim"]:
+    """Direction of vectors; the zero vector has direction zero."""
+    length = norm(vector)
+    return vector / jnp.where(length == 0, 1.0, length)[..., None]
+
+
+def cross(a: Float[Array, "*batch dim"], b: Float[Array, "*batch dim"]) -> Array:
+    """a x b, shape `(..., 3)` in space and `(..., 1)` (the normal component) in the plane."""
+    if a.shape[-1] == 2:
+        return (a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])[..., None]
+    return jnp.cross(a, b)
+
+
+def spin_cross(spin: Array, arm: Float[Array, "*batch dim"]) -> Float[Array, "*batch dim"]:
+    """w x r: velocity at `arm` from the centre of a bead that turns with `spin`."""
+    if arm.shape[-1] == 2:
+        return spin * jnp.stack([-arm[..., 1], arm[..., 0]], axis=-1)
+    return jnp.cross(spin, arm)
+
+
+def bonds(position: Float[Array, "*batch beads dim"]) -> Float[Array, "*batch bonds dim"]:
+    """Vectors from each bead to the next, r_{i+1} - r_i."""
+    return position[..., 1:, :] - position[..., :-1, :]
+
+
+def tangents(position: Float[Array, "*batch beads dim"]) -> Float[Array, "*batch bonds dim"]:
+    """Unit vectors e_{i,i+1} from each bead to the next."""
+    return unit(bonds(position))
+
+
+def bond_lengths(position: Float[Array, "*batch beads dim"]) -> Float[Array, "*batch bonds"]:
+    """Distances of neighbouring centres."""
+    return norm(bonds(position))
+
+
+def turning_angles(position: Float[Array, "*batch beads dim"]) -> Array:
+    """Angle between successive bonds at each inner bead, shape `(..., beads - 2)` [rad].
+
+    Signed (anticlockwise positive) in the plane, in [0, pi] in space; accurate near 0 and pi.
+    """
+    e = tangents(position)
+    before, after = e[..., :-1, :], e[..., 1:, :]
+    sine = cross(before, after)
+    sine = sine[..., 0] if e.shape[-1] == 2 else norm(sine)
+    return jnp.arctan2(sine, jnp.sum(before * after, axis=-1))

@@ -1,0 +1,53 @@
+"""Dimensionless groups, their inverses, and classical formulas."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+
+def cox_aspect_ratio(aspect_ratio: Any) -> Array:
+    """Aspect ratio of the spheroid that rotates like a fibre of length over diameter r_p,
+    r_e = 1.24 r_p / sqrt(ln r_p), eq. (52) (Cox, J. Fluid Mech. 45 (1971) 625)."""
+    return 1.24 * aspect_ratio / jnp.sqrt(jnp.log(aspect_ratio))
+
+
+def larson_aspect_ratio(aspect_ratio: Any) -> Array:
+    """As `cox_aspect_ratio`, r_e = 0.7 r_p, eq. (53) (Larson, 1999)."""
+    return 0.7 * jnp.asarray(aspect_ratio)
+
+
+def jeffery_period(equivalent_aspect_ratio: Any, shear_rate: Any) -> Array:
+    """T = 2 pi (r_e + 1/r_e) / shear rate, eq. (51) (Jeffery, Proc. R. Soc. A 102 (1922) 161)."""
+    r = jnp.asarray(equivalent_aspect_ratio)
+    return 2 * np.pi * (r + 1 / r) / shear_rate
+
+
+def _bending_ratio_scale(radius: Any, beads: Any) -> Array:
+    """BR mu shear_rate / K_b."""
+    slender = jnp.log(2 * cox_aspect_ratio(beads)) - 1.5
+    return 4 * slender / (np.pi * jnp.asarray(radius) ** 4 * 2 * jnp.asarray(beads, float) ** 4)
+
+
+def bending_ratio(rigidity: Any, radius: Any, beads: Any, viscosity: Any, shear_rate: Any) -> Array:
+    """BR = E (ln 2 r_e - 1.5) / (2 mu shear_rate r_p^4), eq. (54), with K_b = pi a^4 E / 4, r_p the
+    number of beads and r_e after Cox, eq. (52). Small values: flexible."""
+    return rigidity * _bending_ratio_scale(radius, beads) / (viscosity * shear_rate)
+
+
+def rigidity_from_bending_ratio(
+    ratio: Any, radius: Any, beads: Any, viscosity: Any, shear_rate: Any
+) -> Array:
+    """K_b [force length^2] of the bending ratio, the inverse of `bending_ratio`."""
+    return ratio * viscosity * shear_rate / _bending_ratio_scale(radius, beads)
+
+
+def elasto_gravitational_number(weight: Any, length: Any, rigidity: Any) -> Array:
+    """B = F L^2 / K_b, eq. (55), with F the weight of the whole fibre. Large values: flexible."""
+    return weight * jnp.asarray(length) ** 2 / rigidity
+
+
+def rigidity_from_elasto_gravitational_number(number: Any, weight: Any, length: Any) -> Array:
+    """K_b [force length^2] of B, the inverse of `elasto_gravitational_number`."""
+    return weight * jnp.asarray(length) ** 2 / number

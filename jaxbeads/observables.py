@@ -1,0 +1,150 @@
+"""What is measured on states, trajectories and scenes.
+
+Functions of positions take any leading axes (times); pass `solution.states.position`.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ._checks import fail
+from .chain import Chain
+from .dynamics import Time, constraint_residual, motion
+from .geometry import bonds, cross, norm, tangents
+from .mobility import RPY, AbstractMobility
+from .scene import Scene
+from .state import Load, State, spins
+
+__all__ = [
+    "bond_length_error",
+    "constraint_residual",
+    "curvature",
+    "deflection",
+    "end_to_end_distance",
+    "friction_coefficient",
+    "minimal_radius_of_curvature",
+    "orbit_period",
+    "orientation",
+    "rigid_resistance",
+    "settling_velocity",
+    "tilt",
+]
+
+
+def curvature(position: Float[Array, "*times beads dim"], chain: Chain) -> Array:
+    """Curvature |e x e'| / l at each inner bead, eq. (34), shape `(*times, beads - 2)` [1/length].
+
+    Signed in the plane (anticlockwise positive); zero where one fibre ends and the next begins.
+    """
+    e = tangents(position)
+    sine = cross(e[..., :-1, :], e[..., 1:, :])
+    sine = sine[..., 0] if position.shape[-1] == 2 else norm(sine)
+    length = 0.5 * (chain.bond_length[1:] + chain.bond_length[:-1])
+    return sine / length * chain.joint_mask
+
+
+def minimal_radius_of_curvature(
+    position: Float[Array, "*times beads dim"], chain: Chain
+) -> Float[Array, "*times"]:
+    """Smallest radius of curvature along the fibres [length]; infinite when straight."""
+    largest = jnp.max(jnp.abs(curvature(position, chain)), axis=-1)
+    return 1 / largest
+
+
+def end_to_end_distance(position: Float[Array, "*times beads dim"]) -> Float[Array, "*times"]:
+    """Distance of the first and the last bead's centres [length]."""
+    return norm(position[..., -1, :] - position[..., 0, :])
+
+
+def deflection(position: Float[Array, "*times beads dim"], direction: Any) -> Float[Array, "*times"]:
+    """Distance of the extreme bead centres along `direction` (A of the settling fibre) [length]."""
+    unit = jnp.asarray(direction) / jnp.linalg.norm(jnp.asarray(direction))
+    height = position @ unit
+    return jnp.max(height, axis=-1) - jnp.min(height, axis=-1)
+
+
+def tilt(position: Float[Array, "*times beads dim"], direction: Any) -> Float[Array, "*times"]:
+    """How much further the last bead is along `direction` than the first [length]."""
+    unit = jnp.asarray(direction) / jnp.linalg.norm(jnp.asarray(direction))
+    return (position[..., -1, :] - position[..., 0, :]) @ unit
+
+
+def orientation(position: Float[Array, "*times beads dim"]) -> Float[Array, "*times"]:
+    """Angle of the end-to-end vector in the x-y plane, from x [rad], in (-pi, pi]."""
+    ends = position[..., -1, :] - position[..., 0, :]
+    return jnp.arctan2(ends[..., 1], ends[..., 0])
+
+
+def orbit_period(ts: Any, position: Any) -> float:
+    """Period of rotation in the x-y plane: twice the time of the first half turn [time].
+
+    Cubic interpolation between saved times. A host function (not for `jit`).
+
+    **Raises** `ValueError` if the trajectory holds less than half a turn.
+    """
+    ts, angle = np.asarray(ts), np.unwrap(np.asarray(orientation(jnp.asarray(position))))
+    turned = np.abs(angle - angle[0])
+    if len(ts) < 4 or turned[-1] < np.pi:
+        fail("position", "hold at least half a turn", f"it turns by {turned[-1]:.3g} rad only")
+    at = int(np.clip(np.argmax(turned >= np.pi) - 2, 0, len(ts) - 4))
+    near = slice(at, at + 4)
+    # Inverse interpolation: time as the cubic in the angle through four neighbours.
+    t, x = ts[near], turned[near]
+    half = sum(
+        t[i] * np.prod([(np.pi - x[j]) / (x[i] - x[j]) for j in range(4) if j != i]) for i in range(4)
+    )
+    return float(2 * (half - ts[0]))
+
+
+def bond_length_error(
+    position: Float[Array, "*times beads dim"], chain: Chain
+) -> Float[Array, "*times bonds"]:
+    """Relative error of each bond length; zero between fibres."""
+    return (norm(bonds(position)) / chain.bond_length - 1) * chain.bond_mask
+
+
+def settling_velocity(t: Time, state: State, scene: Scene) -> Float[Array, " dim"]:
+    """Mean velocity of the beads at one instant [length/time]."""
+    return jnp.mean(motion(t, state, scene).velocity, axis=0)
+
+
+def friction_coefficient(t: Time, state: State, scene: Scene, force: Any) -> Float[Array, ""]:
+    """gamma = F / V for the total force F [force time/length], V the mean velocity along F."""
+    force = jnp.asarray(force)
+    size = jnp.linalg.norm(force)
+    return size**2 / jnp.dot(settling_velocity(t, state, scene), force)
+
+
+def rigid_resistance(
+    position: Any, chain: Chain, viscosity: Any = 1.0, mobility: AbstractMobility = RPY()  # noqa: B008
+) -> Float[Array, "motions motions"]:
+    """Resistance of the beads moved as one rigid body about their mean position.
+
+    The 6 x 6 matrix (3 x 3 in the plane) that maps (velocity, spin) to (force, torque): K^T M^-1 K,
+    where K gives each bead the body's velocity and spin.
+    """
+    position = jnp.asarray(position)
+    beads, dim = position.shape
+    turns = spins(dim)
+    operator = mobility.operator(position, chain.radius, jnp.asarray(viscosity, float), True)
+
+    def column(unit: Array) -> Array:
+        moved = operator.motion(Load(unit[:, :dim], unit[:, dim:]))
+        return jnp.concatenate(jax.tree.leaves(moved), axis=1).ravel()
+
+    size = beads * (dim + turns)
+    matrix = jax.vmap(column)(jnp.eye(size).reshape(size, beads, dim + turns))
+    arm = position - jnp.mean(position, axis=0)
+    rows = []
+    for unit in np.eye(turns):
+        if dim == 2:
+            velocity = jnp.stack([-arm[:, 1], arm[:, 0]], axis=1)
+        else:
+            velocity = jnp.cross(jnp.broadcast_to(unit, arm.shape), arm)
+        rows.append(jnp.concatenate([velocity, jnp.broadcast_to(unit, (beads, turns))], axis=1))
+    moves = [jnp.tile(np.eye(dim + turns)[i], (beads, 1)) for i in range(dim)]
+    body = jnp.stack([row.ravel() for row in (*moves, *rows)], axis=1)
+    return body.T @ jnp.linalg.solve(matrix, body)

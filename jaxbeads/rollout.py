@@ -1,0 +1,168 @@
+"""`rollout`: a trajectory as a pure function, through which `jit`, `vmap` and `grad` go."""
+
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from ._checks import fail, increasing, known, whole
+from ._typing import float_array
+from .dynamics import constraint_residual
+from .constraint import AbstractChainConstraint
+from .scene import Scene, check
+from .solver import AB3, AdaptiveSteps, FixedSteps
+from .solver.stepping import Carry, substeps_for
+from .state import State
+
+Stepper = FixedSteps | AdaptiveSteps
+
+
+class Solution(eqx.Module):
+    """A trajectory.
+
+    - `ts`: times, `(times,)`; `states`: `State` with a leading axis of times.
+    - `steps`: attempted steps; `code`: 0 when all went well (see `solver.stepping.Carry`).
+    - `residual`: constraint residual at each time, see `dynamics.constraint_residual`;
+      `bond_length_error`: largest relative error of a bond at each time. `None` from `rollout`.
+    - `wall_s`, `compile_s`: seconds in all, and of them for compiling (`simulate` only).
+    - `status`: "finished", "stopped by `until`" or "interrupted" (`simulate` only).
+    """
+
+    ts: Float[Array, " times"]
+    states: State
+    steps: Int[Array, ""]
+    code: Int[Array, ""]
+    residual: Float[Array, " times"] | None = None
+    bond_length_error: Float[Array, " times"] | None = None
+    wall_s: float = eqx.field(static=True, default=0.0)
+    compile_s: float = eqx.field(static=True, default=0.0)
+    status: str = eqx.field(static=True, default="finished")
+
+    @property
+    def final(self) -> State:
+        """State at the last time."""
+        return jax.tree.map(lambda x: x[-1], self.states)
+
+    def summary(self) -> str:
+        """What was done, in a few lines."""
+        times, beads, dim = self.states.position.shape
+        lines = [
+            f"{times} states of {beads} beads in {dim}-D, t = {float(self.ts[0]):g} to "
+            f"{float(self.ts[-1]):g}, {int(self.steps)} steps, {self.status}",
+            f"wall time {self.wall_s:.2f} s, of which compiling {self.compile_s:.2f} s",
+        ]
+        if self.residual is not None and self.bond_length_error is not None:
+            lines.append(
+                f"constraint residual {np.max(self.residual):.1e}, "
+                f"bond-length error {np.max(self.bond_length_error):.1e}"
+            )
+        return "\n".join(lines)
+
+
+def stepper_for(
+    scene: Scene,
+    ts: Float[Array, " times"],
+    solver: diffrax.AbstractSolver,
+    substeps: int | None,
+    controller: diffrax.AbstractStepSizeController | None,
+    projected: bool,
+    max_steps: int,
+) -> Stepper:
+    """The stepper that the arguments of `rollout` and `simulate` mean."""
+    if not isinstance(solver, diffrax.AbstractSolver):
+        fail("solver", "be a diffrax solver object, as AB3()", f"it is {solver!r}")
+    whole("max_steps", max_steps, 1)
+    if controller is not None:
+        if substeps is not None:
+            fail("substeps", "be None when a controller chooses the steps", f"it is {substeps}")
+        if isinstance(solver, AB3):
+            fail("controller", "be None for AB3, whose steps are equal", "one is given")
+        return AdaptiveSteps(solver, controller, max_steps, projected)
+    if isinstance(solver, AB3) and known(ts):
+        gaps = np.diff(np.asarray(ts))
+        if np.ptp(gaps) > 1e-6 * np.max(gaps):
+            must = "be evenly spaced for AB3, whose steps are equal"
+            fail("ts", must, f"its intervals range from {gaps.min():g} to {gaps.max():g}")
+    if substeps is None:
+        if not known((ts, scene)):
+            must = "be given when the scene or the times are traced"
+            fail("substeps", must, "it is None: solver.stepping.substeps_for finds it beforehand")
+        substeps = substeps_for(scene, ts, None)
+    whole("substeps", substeps, 1)
+    return FixedSteps(solver, substeps, projected)
+
+
+def advance(
+    stepper: Stepper, scene: Scene, carry: Carry, ts: Float[Array, " times"]
+) -> tuple[Carry, State]:
+    """From ts[0] to ts[-1]; returns the carry there and the states at ts[1:]."""
+
+    # Only the states at the save times are kept for the backward pass; the rest is done again.
+    @jax.checkpoint
+    def interval(carry: Carry, span: tuple[Array, Array]) -> tuple[Carry, State]:
+        carry = stepper.interval(scene, carry, *span)
+        return carry, carry.state
+
+    return lax.scan(interval, carry, (ts[:-1], ts[1:]))
+
+
+def rollout(
+    scene: Scene,
+    state: State,
+    ts: Any,
+    *,
+    solver: diffrax.AbstractSolver = AB3(),  # noqa: B008
+    substeps: int | None = None,
+    controller: diffrax.AbstractStepSizeController | None = None,
+    projected: bool = False,
+    max_steps: int = 100_000,
+    single_precision: bool = False,
+) -> Solution:
+    """Trajectory from `state` at `ts[0]`, saved at the times `ts`.
+
+    Pure: use it under `jax.jit`, `jax.vmap` and `jax.grad` with respect to anything numeric in
+    `scene`, `state` and `ts`. Nothing is checked while it runs: non-finite numbers come out as such.
+    For files, progress and a check on the way, use `simulate`.
+
+    **Arguments**
+
+    - `scene`, `state`: the model and where it starts.
+    - `ts`: increasing times [time], `(times,)`; for `AB3` evenly spaced.
+    - `solver`: `AB3()` or any `diffrax` solver.
+    - `substeps`: equal steps between two times; by default as many as the paper's step (39) asks for.
+    - `controller`: a `diffrax` step-size controller, to choose the steps instead.
+    - `projected`: restore bond lengths after every step.
+    - `max_steps`: bound on steps between two times (with a controller).
+    - `single_precision`: confirms that float32 is meant.
+
+    **Returns** a `Solution`. **Raises** `ValueError` for input that does not fit.
+    """
+    check(scene, state, single_precision=single_precision)
+    increasing("ts", ts)
+    ts = float_array(ts).astype(state.position.dtype)
+    stepper = stepper_for(scene, ts, solver, substeps, controller, projected, max_steps)
+    carry, states = advance(stepper, scene, stepper.init(scene, state, ts[0], ts[1]), ts)
+    states = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), state, states)
+    return Solution(ts, states, carry.steps, carry.code)
+
+
+def diagnostics(
+    scene: Scene, ts: Float[Array, " times"], states: State
+) -> tuple[Float[Array, " times"], Float[Array, " times"]]:
+    """Constraint residual and largest relative bond-length error at each time."""
+
+    def one(at: tuple[Array, State]) -> tuple[Array, Array]:
+        t, state = at
+        error = jnp.zeros((), state.position.dtype)
+        for constraint in scene.constraints:
+            if isinstance(constraint, AbstractChainConstraint):
+                drift = constraint.drift(state, scene.chain)
+                error = jnp.maximum(error, jnp.max(jnp.abs(drift), initial=0.0))
+        return constraint_residual(t, state, scene), error
+
+    return lax.map(one, (ts, states))

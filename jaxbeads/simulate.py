@@ -1,0 +1,258 @@
+"""`simulate`: a trajectory for people. Chunks, progress, checks, files, restart."""
+
+import time
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from tqdm.auto import tqdm
+
+from ._checks import increasing
+from ._typing import float_array
+from .breakdown import SimulationError, explain, locate
+from .files import TrajectoryFile, load, planned_times, reopen
+from .rollout import Solution, Stepper, advance, diagnostics, stepper_for
+from .scene import Scene, check
+from .solver import AB3, FixedSteps, bending_step
+from .solver.stepping import Carry
+from .state import State
+
+# One compiled program for all scenes of one shape: everything numeric is an argument.
+_advance = eqx.filter_jit(advance)
+_init = eqx.filter_jit(lambda stepper, *args: stepper.init(*args))
+_diagnostics = eqx.filter_jit(diagnostics)
+
+_COMPILING = (
+    "/jax/core/compile/jaxpr_trace_duration",
+    "/jax/core/compile/jaxpr_to_mlir_module_duration",
+    "/jax/core/compile/backend_compile_duration",
+)
+
+
+class _Listener:
+    """Seconds that JAX has spent tracing, lowering and compiling since it was first asked."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+        self.listening = False
+
+    def read(self) -> float:
+        if not self.listening:
+            jax.monitoring.register_event_duration_secs_listener(self._listen)
+            self.listening = True
+        return self.seconds
+
+    def _listen(self, event: str, duration: float, **_: Any) -> None:
+        if event in _COMPILING:
+            self.seconds += duration
+
+
+_compiling = _Listener()
+
+
+class _Clock:
+    """Wall time and compile time since its making."""
+
+    def __init__(self) -> None:
+        self.wall, self.compiling = time.perf_counter(), _compiling.read()
+
+    def read(self) -> tuple[float, float]:
+        return time.perf_counter() - self.wall, _compiling.read() - self.compiling
+
+
+def _chunk_length(intervals: int, wanted: int | None) -> int:
+    """Intervals in a chunk: a divisor of all, so that one compiled program serves every chunk."""
+    most = max(1, intervals // 20) if wanted is None else wanted
+    return max(n for n in range(1, min(most, intervals) + 1) if intervals % n == 0)
+
+
+def simulate(
+    scene: Scene,
+    state: State,
+    ts: Any,
+    *,
+    solver: diffrax.AbstractSolver = AB3(),  # noqa: B008
+    substeps: int | None = None,
+    controller: diffrax.AbstractStepSizeController | None = None,
+    projected: bool = False,
+    max_steps: int = 100_000,
+    bond_tolerance: float = 0.01,
+    overlap: bool = True,
+    single_precision: bool = False,
+    until: Callable[[Solution], bool] | None = None,
+    chunk: int | None = None,
+    file: str | Path | None = None,
+    progress: bool = True,
+) -> Solution:
+    """Trajectory from `state` at `ts[0]`, saved at the times `ts`, watched from the host.
+
+    The same numbers as `rollout`, computed in chunks. After each chunk the run is checked: positions
+    must be finite and bonds must keep their lengths. Ctrl-C stops it and returns what is there.
+
+    **Arguments**: as for `rollout`, and
+
+    - `bond_tolerance`: largest relative error of a bond length before the run is stopped.
+    - `overlap`: whether beads may overlap at the start.
+    - `until`: a function of the solution so far; the run ends after the chunk where it is true.
+    - `chunk`: save times in a chunk; shortened to a divisor of their number.
+    - `file`: HDF5 file that is written while running; `resume` continues it.
+    - `progress`: show a progress bar.
+
+    **Returns** a `Solution` with residual, bond-length error and timings. **Raises** `ValueError` for
+    input that does not fit; `SimulationError` if the run breaks down, naming step, bead and term,
+    with the solution up to the last good state in its field `solution`.
+    """
+    clock = _Clock()
+    check(scene, state, overlap=overlap, single_precision=single_precision)
+    increasing("ts", ts)
+    times = float_array(ts).astype(state.position.dtype)
+    stepper = stepper_for(scene, times, solver, substeps, controller, projected, max_steps)
+    _warn_of_large_step(scene, stepper, times)
+    carry = _init(stepper, scene, state, times[0], times[1])
+    first = _part(scene, times[:1], jax.tree.map(lambda x: x[None], state), carry)
+    if not np.all(np.isfinite(first.residual)):
+        raise SimulationError(explain(scene, state, float(times[0]), 0, None), first)
+    target = None if file is None else TrajectoryFile.create(file, scene, stepper, times, state)
+    if target is not None:
+        target.append(first, carry)
+    run = _Run(scene, stepper, times, bond_tolerance, until, chunk, progress, target)
+    return run.go(carry, first, 0, clock)
+
+
+def resume(
+    file: str | Path,
+    scene: Scene,
+    *,
+    solver: diffrax.AbstractSolver = AB3(),  # noqa: B008
+    substeps: int | None = None,
+    controller: diffrax.AbstractStepSizeController | None = None,
+    projected: bool = False,
+    max_steps: int = 100_000,
+    bond_tolerance: float = 0.01,
+    until: Callable[[Solution], bool] | None = None,
+    chunk: int | None = None,
+    progress: bool = True,
+) -> Solution:
+    """Continue the run of a file, bit for bit as if it had not been interrupted.
+
+    **Arguments**: the file; scene, solver and step options with which it was written (compared with
+    the file); the others as for `simulate`. **Returns** the solution from where the file left off
+    (`files.load` reads the whole). **Raises** `ValueError` if file and arguments do not fit, and as
+    `simulate`.
+    """
+    clock = _Clock()
+    last = load(file)
+    times = planned_times(file)
+    stepper = stepper_for(scene, times, solver, substeps, controller, projected, max_steps)
+    like = _init(stepper, scene, last.final, times[0], times[1])
+    target, carry = reopen(file, scene, stepper, like)
+    first = _part(scene, last.ts[-1:], jax.tree.map(lambda x: x[-1:], last.states), carry)
+    run = _Run(scene, stepper, times, bond_tolerance, until, chunk, progress, target)
+    return run.go(carry, first, len(last.ts) - 1, clock)
+
+
+def _part(scene: Scene, ts: Float[Array, " times"], states: State, carry: Carry) -> Solution:
+    return Solution(ts, states, carry.steps, carry.code, *_diagnostics(scene, ts, states))
+
+
+def _warn_of_large_step(scene: Scene, stepper: Stepper, ts: Array) -> None:
+    if isinstance(stepper, FixedSteps) and isinstance(stepper.solver, AB3):
+        step, limit = float(np.max(np.diff(ts))) / stepper.substeps, float(bending_step(scene))
+        if step > 2.2 * limit:
+            warnings.warn(
+                f"The time step {step:.3g} is {step / limit:.3g} times that of eq. (39); AB3 is stable "
+                "to about 2.2 times.",
+                stacklevel=3,
+            )
+
+
+@dataclass
+class _Run:
+    """The host's loop over chunks of save times."""
+
+    scene: Scene
+    stepper: Stepper
+    ts: Array
+    bond_tolerance: float
+    until: Callable[[Solution], bool] | None
+    chunk: int | None
+    progress: bool
+    target: TrajectoryFile | None
+
+    def go(self, carry: Carry, first: Solution, done: int, clock: _Clock) -> Solution:
+        """From interval number `done` to the end."""
+        parts, status, intervals = [first], "finished", len(self.ts) - 1
+        length = _chunk_length(intervals, self.chunk)
+        try:
+            with tqdm(total=intervals, initial=done, disable=not self.progress) as bar:
+                while done < intervals:
+                    count = min(length, intervals - done)
+                    carry, part = self.advance(carry, done, count, parts, clock)
+                    parts.append(part)
+                    done += count
+                    bar.update(count)
+                    if self.until is not None and self.until(_join(parts, status, clock)):
+                        status = "stopped by `until`"
+                        break
+        except KeyboardInterrupt:
+            status = "interrupted"
+            warnings.warn(f"The run was interrupted at t = {parts[-1].ts[-1]:g}.", stacklevel=3)
+        finally:
+            if self.target is not None:
+                self.target.close()
+        return _join(parts, status, clock)
+
+    def advance(
+        self, carry: Carry, done: int, count: int, parts: list[Solution], clock: _Clock
+    ) -> tuple[Carry, Solution]:
+        """One chunk, checked and written."""
+        ts = self.ts[done : done + count + 1]
+        after, states = _advance(self.stepper, self.scene, carry, ts)
+        part = _part(self.scene, ts[1:], states, after)
+        fine = np.isfinite(np.asarray(states.position)).all(axis=(1, 2))
+        fine &= np.asarray(part.bond_length_error) <= self.bond_tolerance
+        if not fine.all() or int(after.code) != 0:
+            self.stop(carry, done, int(np.argmin(fine)), parts, clock)
+        if self.target is not None:
+            self.target.append(part, after)
+        return after, part
+
+    def stop(
+        self, carry: Carry, done: int, good: int, parts: list[Solution], clock: _Clock
+    ) -> NoReturn:
+        """Keep the `good` intervals of the chunk that are fine, then raise the error."""
+        for index in range(done, done + good):
+            span = self.ts[index : index + 2]
+            carry, states = _advance(self.stepper, self.scene, carry, span)
+            parts.append(_part(self.scene, span[1:], states, carry))
+            if self.target is not None:
+                self.target.append(parts[-1], carry)
+        t0, t1 = (float(t) for t in self.ts[done + good : done + good + 2])
+        cause = locate(self.stepper, self.scene, carry, t0, t1, self.bond_tolerance)
+        raise SimulationError(cause, _join(parts, "broken down", clock))
+
+
+def _join(parts: list[Solution], status: str, clock: _Clock) -> Solution:
+    def column(get: Callable[[Solution], Any]) -> Any:
+        return jax.tree.map(lambda *x: jnp.concatenate(x), *(get(part) for part in parts))
+
+    wall, compiling = clock.read()
+    return Solution(
+        column(lambda p: p.ts),
+        column(lambda p: p.states),
+        parts[-1].steps,
+        parts[-1].code,
+        column(lambda p: p.residual),
+        column(lambda p: p.bond_length_error),
+        wall,
+        compiling,
+        status,
+    )

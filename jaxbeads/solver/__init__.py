@@ -1,0 +1,11 @@
+"""Solvers: ways to advance a state in time.
+
+`AB3` is the paper's scheme. Any solver of `diffrax` serves as well, with constant steps or with a
+step-size controller. A new one is a class derived from `diffrax.AbstractSolver` in a file of its own,
+a line here and a line in `tests/cases.py`.
+"""
+
+from .ab3 import AB3 as AB3
+from .stepping import AdaptiveSteps as AdaptiveSteps
+from .stepping import FixedSteps as FixedSteps
+from .stepping import bending_step as bending_step

@@ -1,0 +1,196 @@
+"""From one save time to the next: constant steps, or steps chosen by a controller.
+
+A stepper holds a solver and carries everything that the next step depends on, so a run that is cut
+between save times and continued from its carry is the same run, bit for bit.
+"""
+
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import equinox.internal as eqxi
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from ..constraint import AbstractChainConstraint
+from ..dynamics import rate
+from ..force import Bending, BendingEnergy
+from ..scene import Scene
+from ..state import State
+
+_TERM = diffrax.ODETerm(rate)
+Time = Float[Array, ""]
+
+
+def bending_step(scene: Scene) -> Float[Array, ""]:
+    """The paper's time step, mu (2a)^4 / K_b, eq. (39); infinite without bending.
+
+    With several radii or rigidities: the smallest radius and the largest rigidity.
+    """
+    forces = [f for f in scene.forces if isinstance(f, (Bending, BendingEnergy))]
+    stiffest = jnp.max(jnp.stack([jnp.zeros(()), *(jnp.max(f.rigidity) for f in forces)]))
+    step = scene.viscosity * (2 * jnp.min(scene.chain.radius)) ** 4
+    return jnp.where(stiffest == 0, jnp.inf, step / jnp.where(stiffest == 0, 1.0, stiffest))
+
+
+def project(scene: Scene, state: State) -> State:
+    """Bond lengths restored by the scene's chain constraints."""
+    for constraint in scene.constraints:
+        if isinstance(constraint, AbstractChainConstraint):
+            state = constraint.project(state, scene.chain)
+    return state
+
+
+class Carry(eqx.Module):
+    """What goes from step to step."""
+
+    state: State
+    """State at the last save time."""
+    steps: Int[Array, ""]
+    """Attempted steps so far."""
+    code: Int[Array, ""]
+    """0: fine; 1: more than `max_steps` in one interval; 2: the solver gave up."""
+    memory: Any
+    """Of the solver and its controller."""
+
+
+class FixedSteps(eqx.Module):
+    """`substeps` equal steps from each save time to the next.
+
+    **Arguments**: `solver`, a `diffrax` solver; `substeps`; `projected`: restore the bond lengths
+    after each step.
+    """
+
+    solver: diffrax.AbstractSolver
+    substeps: int = eqx.field(static=True)
+    projected: bool = eqx.field(static=True, default=False)
+
+    def init(self, scene: Scene, state: State, t0: Time, t1: Time) -> Carry:
+        """Carry at the first save time t0; t1 is the next."""
+        end = t0 + (t1 - t0) / self.substeps
+        memory = self.solver.init(_TERM, t0, end, state, scene)
+        return Carry(state, jnp.zeros((), int), jnp.zeros((), int), memory)
+
+    def step(self, scene: Scene, carry: Carry, t0: Time, t1: Time, index: Any) -> Carry:
+        """Step number `index` of the interval from t0 to t1."""
+        h = (t1 - t0) / self.substeps
+        start, end = t0 + index * h, t0 + (index + 1) * h
+        jump = jnp.zeros((), bool)
+        y, _, _, memory, result = self.solver.step(
+            _TERM, start, end, carry.state, scene, carry.memory, jump
+        )
+        if self.projected:
+            y = project(scene, y)
+        failed = result != diffrax.RESULTS.successful
+        return Carry(y, carry.steps + 1, jnp.where(failed, 2, carry.code), memory)
+
+    def interval(self, scene: Scene, carry: Carry, t0: Time, t1: Time) -> Carry:
+        """Carry at t1 from that at t0."""
+
+        def body(carry: Carry, index: Any) -> tuple[Carry, None]:
+            return self.step(scene, carry, t0, t1, index), None
+
+        return lax.scan(body, carry, jnp.arange(self.substeps))[0]
+
+
+class _Adaptive(eqx.Module):
+    previous: Time
+    next: Time
+    state: State  # at `previous`
+    solver: Any
+    controller: Any
+    jump: Array
+    dense: tuple[Time, Time, Any]  # the last accepted step and its interpolant
+
+
+class AdaptiveSteps(eqx.Module):
+    """Steps chosen by a `diffrax` controller; save times are interpolated, not stepped on.
+
+    **Arguments**: `solver`; `controller`, as `diffrax.PIDController(rtol, atol)`; `max_steps` between
+    two save times; `projected`: restore the bond lengths after each accepted step.
+    """
+
+    solver: diffrax.AbstractSolver
+    controller: diffrax.AbstractStepSizeController
+    max_steps: int = eqx.field(static=True, default=100_000)
+    projected: bool = eqx.field(static=True, default=False)
+
+    def init(self, scene: Scene, state: State, t0: Time, t1: Time) -> Carry:
+        """Carry at the first save time t0; t1 is the next."""
+        solver, order = self.solver, self.solver.error_order(_TERM)
+        end, controller = self.controller.init(
+            _TERM, t0, t1, state, None, scene, solver.func, order
+        )
+        memory = solver.init(_TERM, t0, end, state, scene)
+        jump = jnp.zeros((), bool)
+        shape = eqx.filter_eval_shape(solver.step, _TERM, t0, end, state, scene, memory, jump)[2]
+        dense = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shape)
+        adaptive = _Adaptive(t0, end, state, memory, controller, jump, (t0, t0, dense))
+        return Carry(state, jnp.zeros((), int), jnp.zeros((), int), adaptive)
+
+    def _attempt(self, scene: Scene, code: Array, a: _Adaptive) -> tuple[Array, _Adaptive]:
+        y, error, dense, memory, result = self.solver.step(
+            _TERM, a.previous, a.next, a.state, scene, a.solver, a.jump
+        )
+        order = self.solver.error_order(_TERM)
+        # A step that fails or leaves the finite numbers is tried again with a smaller one.
+        bad = (result != diffrax.RESULTS.successful) | ~jnp.all(jnp.isfinite(y.position))
+        error = jax.tree.map(lambda e: jnp.where(bad, jnp.inf, e), error)
+        keep, start, end, jump, controller, verdict = self.controller.adapt_step_size(
+            a.previous, a.next, a.state, y, scene, error, order, a.controller
+        )
+        if self.projected:
+            y = project(scene, y)
+        keep = jnp.asarray(keep)
+
+        def pick(new: Any, old: Any) -> Any:
+            return jax.tree.map(lambda n, o: jnp.where(keep, n, o), new, old)
+
+        dense = pick((a.previous, a.next, dense), a.dense)
+        # The step has shrunk until it no longer moves the time: nothing helps.
+        stuck = (end <= start) | (verdict != diffrax.RESULTS.successful)
+        after = _Adaptive(
+            start, end, pick(y, a.state), pick(memory, a.solver), controller, jnp.asarray(jump), dense
+        )
+        return jnp.where(stuck, 2, code), after
+
+    def interval(self, scene: Scene, carry: Carry, t0: Time, t1: Time) -> Carry:
+        """Carry at t1 from that at t0."""
+
+        def unfinished(loop: tuple[Array, Array, _Adaptive]) -> Array:
+            _, code, a = loop
+            return (a.previous < t1) & (code == 0)
+
+        def body(loop: tuple[Array, Array, _Adaptive]) -> tuple[Array, Array, _Adaptive]:
+            count, code, a = loop
+            code, a = self._attempt(scene, code, a)
+            return count + 1, jnp.where((count + 1 >= self.max_steps) & (a.previous < t1), 1, code), a
+
+        first = jnp.zeros((), int), carry.code, carry.memory
+        count, code, a = eqxi.while_loop(
+            unfinished, body, first, max_steps=self.max_steps, kind="checkpointed"
+        )
+        start, end, info = a.dense
+        inside = jnp.where(end > start, end, start + 1)  # before the first step there is no interval
+        y = self.solver.interpolation_cls(t0=start, t1=inside, **info).evaluate(t1)
+        if self.projected:
+            y = project(scene, y)
+        y = jax.tree.map(lambda y: jnp.where(code == 0, y, jnp.nan), y)
+        return Carry(y, carry.steps + count, code, a)
+
+
+def substeps_for(scene: Scene, ts: Float[Array, " times"], step: float | None) -> int:
+    """Number of equal steps between save times, from a largest step (by default (39)).
+
+    **Raises** `ValueError` if neither a step nor a bending rigidity is at hand.
+    """
+    limit = float(bending_step(scene)) if step is None else step
+    if not np.isfinite(limit):
+        raise ValueError(
+            "Argument `substeps` must be given, but it is None and the scene has no bending rigidity "
+            "from which a time step would follow."
+        )
+    return max(1, int(np.ceil(float(np.max(np.diff(ts))) / limit * (1 - 1e-9))))

@@ -1,0 +1,87 @@
+"""What the beads are, do and bear: `State`, `Motion`, `Load`.
+
+Arrays have one row per bead. `dim` is 2 (a planar scene) or 3; `spins` is 1 or 3 accordingly: in the
+plane a bead turns about the normal only, in the same three-dimensional fluid.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ._checks import fail, finite
+from ._typing import optional_float_array, parameter
+
+
+class State(eqx.Module):
+    """Configuration of all beads.
+
+    **Arguments**
+
+    - `position`: centres of the beads, shape `(beads, dim)`, [length].
+    - `director`: unit vectors fixed to the beads, shape `(beads, dim)`, or `None` where no term of
+      the scene needs orientations.
+
+    **Raises** `ValueError` for a position that is not finite or not of shape `(beads, 2 or 3)`.
+    """
+
+    position: Float[Array, "beads dim"] = parameter()
+    director: Float[Array, "beads dim"] | None = eqx.field(
+        converter=optional_float_array, default=None
+    )
+
+    def __check_init__(self) -> None:
+        shape = self.position.shape
+        if len(shape) != 2 or shape[1] not in (2, 3) or shape[0] < 1:
+            fail("position", "have shape (beads, 2) or (beads, 3)", f"it has shape {shape}")
+        finite("position", self.position)
+        if self.director is not None and self.director.shape != shape:
+            fail("director", f"have the position's shape {shape}", f"it has {self.director.shape}")
+
+
+class Motion(eqx.Module):
+    """Velocities [length/time], shape `(beads, dim)`, and spins [1/time], shape `(beads, spins)`.
+
+    `spin` is `None` in scenes in which no term turns beads.
+    """
+
+    velocity: Float[Array, "beads dim"]
+    spin: Float[Array, "beads spins"] | None = None
+
+
+class Load(eqx.Module):
+    """Forces [force], shape `(beads, dim)`, and torques [force length], shape `(beads, spins)`.
+
+    `None` stands for "none at all" and costs nothing.
+    """
+
+    force: Float[Array, "beads dim"] | None = None
+    torque: Float[Array, "beads spins"] | None = None
+
+
+def spins(dim: int) -> int:
+    """Number of spin components of a bead: 1 in the plane, 3 in space."""
+    return 1 if dim == 2 else 3
+
+
+def _sum(a: Array | None, b: Array | None) -> Array | None:
+    return b if a is None else a if b is None else a + b
+
+
+def add_loads(*loads: Load) -> Load:
+    """Sum of loads; absent parts stay absent."""
+    force = torque = None
+    for load in loads:
+        force, torque = _sum(force, load.force), _sum(torque, load.torque)
+    return Load(force, torque)
+
+
+def add_motions(a: Motion, b: Motion) -> Motion:
+    """Sum of motions; an absent spin stays absent."""
+    return Motion(a.velocity + b.velocity, _sum(a.spin, b.spin))
+
+
+def zero_motion(state: State, rotational: bool) -> Motion:
+    """Beads at rest."""
+    beads, dim = state.position.shape
+    spin = jnp.zeros((beads, spins(dim)), state.position.dtype) if rotational else None
+    return Motion(jnp.zeros_like(state.position), spin)

@@ -1,0 +1,285 @@
+"""Pair tensors of spheres in Stokes flow: Rotne-Prager-Yamakawa with rotation, and the response to
+strain. Pure functions of positions; viscosity 1 unless said.
+
+Component-major: every field is one `(beads, beads)` array, so that loops run along memory and a
+planar scene holds 6 fields where a spatial one holds 15.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .state import Load, Motion, spins
+
+Field = Float[Array, "beads beads"]
+Table = tuple[tuple[Array, ...], ...]
+
+# (a x b)_i = sum of sign * a_j * b_k over (i, j, k, sign); in the plane b (or the result) is normal.
+CROSS = {
+    3: ((0, 1, 2, 1), (1, 2, 0, 1), (2, 0, 1, 1), (0, 2, 1, -1), (1, 0, 2, -1), (2, 1, 0, -1)),
+    2: ((0, 1, 0, 1), (1, 0, 0, -1)),
+}
+
+
+class Signed(eqx.Module):
+    """A field or its negative, so that antisymmetric tables hold each field once."""
+
+    field: Field
+    sign: int = eqx.field(static=True, default=1)
+
+    def __matmul__(self, component: Array) -> Array:
+        return self.sign * (self.field @ component)
+
+
+SignedTable = tuple[tuple[Signed | None, ...], ...]
+
+
+class PairTensor(eqx.Module):
+    """Mobility of all beads as tables of fields: entry `[i][j]` maps component j to component i.
+
+    In the coupling of translation and rotation `None` is a zero field. All but `tt` are empty in
+    scenes without rotation. The whole is symmetric: `rt[k][i]` is the transpose of `tr[i][k]`.
+    """
+
+    tt: Table
+    tr: SignedTable = ()
+    rt: SignedTable = ()
+    rr: Table = ()
+
+    def motion(self, load: Load) -> Motion:
+        """Velocities and spins under `load`, M F (no ambient flow)."""
+        force = None if load.force is None else load.force.T
+        torque = None if load.torque is None else load.torque.T
+        velocity = _products(self.tt, force, self.tr, torque)
+        if not self.rr:
+            return Motion(velocity)
+        return Motion(velocity, _products(self.rt, force, self.rr, torque))
+
+
+def _products(
+    left: Table | SignedTable, a: Array | None, right: Table | SignedTable, b: Array | None
+) -> Array:
+    pairs = [(table, x) for table, x in ((left, a), (right, b)) if x is not None and table]
+    if not pairs:
+        raise ValueError("Argument `load` must hold forces or torques, but it holds neither.")
+    rows = []
+    for i in range(len(pairs[0][0])):
+        terms = [
+            entry @ component
+            for table, vector in pairs
+            for entry, component in zip(table[i], vector, strict=True)
+            if entry is not None
+        ]
+        rows.append(sum(terms[1:], start=terms[0]))
+    return jnp.stack(rows, axis=1)
+
+
+class _Separation(NamedTuple):
+    vector: list[Field]  # r_i - r_j
+    distance: Field  # 0 on the diagonal
+    inverse: Field  # 1 / distance, 0 where the distance is 0
+
+
+def _separation(position: Float[Array, "beads dim"]) -> _Separation:
+    vector = [x[:, None] - x[None, :] for x in position.T]
+    square = sum(d * d for d in vector)
+    zero = square == 0
+    distance = jnp.sqrt(jnp.where(zero, 1.0, square))
+    return _Separation(vector, jnp.where(zero, 0.0, distance), jnp.where(zero, 0.0, 1 / distance))
+
+
+class _Scalars(NamedTuple):
+    """Coefficients of I, dd, d x, with d = r_i - r_j (not normalised)."""
+
+    tt1: Array
+    tt2: Array
+    tr: Array  # v_i = tr T_j x d
+    rt: Array  # w_i = rt F_j x d
+    rr1: Array
+    rr2: Array
+
+
+def _equal(s: _Separation, a: Array) -> _Scalars:
+    # On the diagonal the overlap branch at distance 0 is the mobility of a single sphere.
+    x, ix = s.distance / a, s.inverse * a
+    y = jnp.minimum(ix, 0.5)  # 1/x of separate spheres; bounded where the other branch holds
+    y2, y3 = y * y, y * y * y
+    near = x <= 2
+    m, q = 1 / (6 * np.pi * a), 1 / (8 * np.pi * a**3)
+    tr = q * jnp.where(near, 0.5 - 3 * x / 16, y3)
+    return _Scalars(
+        tt1=m * jnp.where(near, 1 - 9 * x / 32, 0.75 * y + 0.5 * y3),
+        tt2=m / a**2 * jnp.where(near, 3 * ix / 32, (0.75 - 1.5 * y2) * y3),
+        tr=tr,
+        rt=tr,
+        rr1=q * jnp.where(near, 1 - 27 * x / 32 + 5 * x * x * x / 64, -0.5 * y3),
+        rr2=q / a**2 * jnp.where(near, 9 * ix / 32 - 3 * x / 64, 1.5 * y2 * y3),
+    )
+
+
+def _overlap_rr(r: Array, a: Array, b: Array) -> tuple[Array, Array]:
+    """rr of overlapping spheres times 8 pi (a b)^3: coefficients of I and of the unit dyad."""
+    d2, r2, r3 = (a - b) ** 2, r**2, r**3
+    s = a**2 + 4 * a * b + b**2
+    one = 5 * r**6 - 27 * r**4 * (a**2 + b**2) + 32 * r3 * (a**3 + b**3)
+    one = one - 9 * r2 * (a**2 - b**2) ** 2 - d2**2 * s
+    return one / (64 * r3), 3 * (d2 - r2) ** 2 * (s - r2) / (64 * r3)
+
+
+def _overlap_rt(r: Array, a: Array, b: Array) -> Array:
+    """rt of overlapping spheres: spin of the sphere of radius a, force on that of radius b."""
+    return (
+        (a - b + r) ** 2
+        * (b**2 + 2 * b * (a + r) - 3 * (a - r) ** 2)
+        / (128 * np.pi * r**2 * a**3 * b)
+    )
+
+
+def _unequal(s: _Separation, radii: Float[Array, " beads"]) -> _Scalars:
+    a, b = radii[:, None], radii[None, :]
+    inside = s.distance <= jnp.abs(a - b)  # one sphere within the other; also the diagonal
+    near = s.distance <= a + b
+    r = jnp.where(inside, a + b, s.distance)  # a regular value where the branch is not taken
+    ir, big = 1 / r, jnp.maximum(a, b)
+    m, q, sq = 1 / (6 * np.pi * a * b), 1 / (8 * np.pi * (a * b) ** 3), a**2 + b**2
+    k, d2, r2 = 1 / (8 * np.pi * r), (a - b) ** 2, r**2
+    rr1, rr2 = _overlap_rr(r, a, b)
+
+    def choose(within: Array | float, overlap: Array, apart: Array) -> Array:
+        return jnp.where(inside, within, jnp.where(near, overlap, apart))
+
+    cross_apart = 1 / (8 * np.pi * r**3)
+    return _Scalars(
+        tt1=choose(
+            1 / (6 * np.pi * big),
+            m * (16 * r**3 * (a + b) - (d2 + 3 * r2) ** 2) / (32 * r**3),
+            k * (1 + sq / (3 * r2)),
+        ),
+        tt2=choose(0.0, m * 3 * (d2 - r2) ** 2 / (32 * r**5), k * (1 - sq / r2) * ir**2),
+        tr=choose(
+            jnp.where(b > a, 1 / (8 * np.pi * b**3), 0.0), _overlap_rt(r, b, a) * ir, cross_apart
+        ),
+        rt=choose(
+            jnp.where(a > b, 1 / (8 * np.pi * a**3), 0.0), _overlap_rt(r, a, b) * ir, cross_apart
+        ),
+        rr1=choose(1 / (8 * np.pi * big**3), q * rr1, -1 / (16 * np.pi * r**3)),
+        rr2=choose(0.0, q * rr2 * ir**2, 3 / (16 * np.pi * r**5)),
+    )
+
+
+def rpy(
+    position: Float[Array, "beads dim"],
+    radius: Float[Array, ""] | Float[Array, " beads"],
+    viscosity: Float[Array, ""],
+    rotational: bool,
+) -> PairTensor:
+    """Rotne-Prager-Yamakawa mobility of spheres, separate or overlapping.
+
+    With d = r_i - r_j: v_i = (tt1 I + tt2 d d) F_j + tr T_j x d and w_i = rt F_j x d +
+    (rr1 I + rr2 d d) T_j, positive definite in every configuration.
+
+    **Arguments**: positions [length]; radius, one or one per bead; viscosity [force time/length^2];
+    whether spins and torques take part. **Returns** a `PairTensor`.
+
+    References: Wajnryb, Mizerski, Zuk & Szymczak, J. Fluid Mech. 731 (2013) R3 (equal radii); Zuk,
+    Wajnryb, Mizerski & Szymczak, J. Fluid Mech. 741 (2014) R5 (unequal radii).
+    """
+    s = _separation(position)
+    scalars = _equal(s, radius) if radius.ndim == 0 else _unequal(s, radius)
+    dim, turns = position.shape[1], spins(position.shape[1])
+    # Each field ends in a division. XLA on the CPU evaluates cheap producers anew in each consumer
+    # but never a division, so this keeps a field from being computed again for every use.
+    tt = _dyads(scalars.tt1, scalars.tt2, s.vector, viscosity)
+    if not rotational:
+        return PairTensor(tt)
+    push = [scalars.tr * d / viscosity for d in s.vector]
+    twist = push if scalars.rt is scalars.tr else [scalars.rt * d / viscosity for d in s.vector]
+    tr: list[list[Signed | None]] = [[None] * turns for _ in range(dim)]
+    rt: list[list[Signed | None]] = [[None] * dim for _ in range(turns)]
+    for i, j, k, sign in CROSS[dim]:  # (d x T)_i holds sign d_j T_k, and (d x F)_k the opposite
+        tr[i][k], rt[k][i] = Signed(push[j], -sign), Signed(twist[j], sign)
+    if dim == 2:
+        rr: Table = ((scalars.rr1 / viscosity,),)
+    else:
+        rr = _dyads(scalars.rr1, scalars.rr2, s.vector, viscosity)
+    return PairTensor(tt, tuple(map(tuple, tr)), tuple(map(tuple, rt)), rr)
+
+
+def _dyads(one: Array, two: Array, vector: list[Field], viscosity: Array) -> Table:
+    dim = len(vector)
+    fields: dict[tuple[int, int], Array] = {}
+    for i in range(dim):
+        for j in range(i, dim):
+            field = two * (vector[i] * vector[j])
+            fields[i, j] = fields[j, i] = (field + one if i == j else field) / viscosity
+    return tuple(tuple(fields[i, j] for j in range(dim)) for i in range(dim))
+
+
+def _strain_equal(s: _Separation, a: Array) -> tuple[Array, Array, Array]:
+    x, ix = s.distance / a, s.inverse * a
+    y = jnp.minimum(ix, 0.5)
+    y2, y3 = y * y, y * y * y
+    near = x <= 2
+    c1 = jnp.where(near, -0.5 + 5 * x / 24, -8 / 3 * y2 * y3)
+    c2 = jnp.where(near, -5 * ix / 96, (20 / 3 * y2 - 2.5) * y2 * y3) / a**2
+    cr = jnp.where(near, (5 * x * x - 30) * ix / 64, -2.5 * y2 * y3) / a**2
+    return c1, c2, cr
+
+
+def _strain_unequal(s: _Separation, radii: Array) -> tuple[Array, Array, Array]:
+    a, b = radii[:, None], radii[None, :]
+    inside, near = s.distance <= jnp.abs(a - b), s.distance <= a + b
+    r = jnp.where(inside, a + b, s.distance)
+    d, r2, sq = a - b, r**2, 5 * a**2 + 3 * b**2
+    c1_near = 10 * r**6 - 24 * a * r**5 - 15 * r**4 * (b**2 - a**2) - d**5 * (a + 5 * b)
+    c2_near = 5 * (d**2 - r2) ** 2 * (d * (a + 5 * b) - r2)
+    cr_near = -5 * _overlap_rr(r, a, b)[1] / (3 * a**3)
+    c1 = jnp.where(near, c1_near / (48 * a * r**5), -(b**3) * sq / (3 * r**5))
+    c2 = jnp.where(near, c2_near / (96 * a * r**7), b**3 * (5 * sq - 15 * r2) / (6 * r**7))
+    cr = jnp.where(near, cr_near / r2, -2.5 * b**3 / r**5)
+    within = jnp.where(b > a, -1.0, 0.0)
+    return (
+        jnp.where(inside, within, c1),
+        jnp.where(inside, 0.0, c2),
+        jnp.where(inside, 0.0, cr),
+    )
+
+
+def shear_disturbance(
+    position: Float[Array, "beads dim"],
+    radius: Float[Array, ""] | Float[Array, " beads"],
+    strain_rate: Float[Array, "*beads dim dim"],
+    rotational: bool,
+) -> Motion:
+    """C : E, the motion that freely suspended spheres induce on one another in a straining flow.
+
+    With d = r_i - r_j and the strain rate E_j at sphere j: v_i = c1 E_j.d + c2 (d.E_j.d) d and
+    w_i = cr (E_j.d) x d, summed over j.
+
+    **Arguments**: positions; radius; rate of strain [1/time], one tensor `(dim, dim)` for all beads
+    or one for each, `(beads, dim, dim)`; whether spins take part. **Returns** a `Motion`.
+
+    Reference: Wajnryb et al., J. Fluid Mech. 731 (2013) R3; Zuk et al., ibid. 741 (2014) R5.
+    """
+    s = _separation(position)
+    c1, c2, cr = _strain_equal(s, radius) if radius.ndim == 0 else _strain_unequal(s, radius)
+    dim, d = position.shape[1], s.vector
+    # One tensor: numbers; one for each bead: rows along j.
+    e = [[strain_rate[..., i, j] for j in range(dim)] for i in range(dim)]
+    ed = [sum(e[i][j] * d[j] for j in range(dim)) for i in range(dim)]
+    ded = c2 * sum(d[i] * ed[i] for i in range(dim))
+    ones = jnp.ones(position.shape[0], position.dtype)  # a product with ones sums faster than `sum`
+    velocity = jnp.stack([(c1 * ed[i] + ded * d[i]) @ ones for i in range(dim)], axis=1)
+    if not rotational:
+        return Motion(velocity)
+    turn = [jnp.zeros(())] * spins(dim)
+    if dim == 2:
+        turn[0] = cr * (ed[0] * d[1] - ed[1] * d[0])
+    else:
+        for i, j, k, sign in CROSS[3]:
+            turn[i] = turn[i] + sign * ed[j] * d[k]
+        turn = [cr * w for w in turn]
+    return Motion(velocity, jnp.stack([w @ ones for w in turn], axis=1))
