@@ -8,13 +8,14 @@ from typing import Any
 
 import jax
 import numpy as np
+from jax.core import Tracer
 
 
 def known(value: Any) -> bool:
     """Whether every array in `value` holds numbers now (not a tracer, not a placeholder)."""
     return all(
         isinstance(leaf, (jax.Array, np.ndarray, np.generic, int, float))
-        and not isinstance(leaf, jax.core.Tracer)
+        and not isinstance(leaf, Tracer)
         for leaf in jax.tree.leaves(value)
     )
 

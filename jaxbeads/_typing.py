@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -20,11 +19,6 @@ def float_array(value: Any) -> jax.Array:
 def optional_float_array(value: Any) -> jax.Array | None:
     """As `float_array`, but `None` stays `None`."""
     return None if value is None else float_array(value)
-
-
-def parameter(**kwargs: Any) -> Any:
-    """A physical parameter: a field that is always a floating-point array, hence a leaf."""
-    return eqx.field(converter=float_array, **kwargs)
 
 
 def leaf_function(function: Any) -> Any:

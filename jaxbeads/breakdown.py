@@ -100,7 +100,9 @@ def explain(
             what = f"bead {bead} has no finite position"
         elif error > 0:
             bead = bond
-            what = f"the bond of beads {bond} and {bond + 1} is off its length by {100 * error:.2g} %"
+            what = (
+                f"the bond of beads {bond} and {bond + 1} is off its length by {100 * error:.2g} %"
+            )
     message = (
         f"The run broke down at step {step} (t = {t:.6g}): {what}. Term: {term}"
         f"{', ' + how if how else ''}.{_smallest_gap(scene, good)}{advice} The last good state is the "

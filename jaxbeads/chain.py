@@ -1,6 +1,7 @@
 """`Chain`: which beads there are and which are neighbours; initial shapes."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import equinox as eqx
@@ -9,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ._checks import fail, finite, positive, shape, whole
-from ._typing import float_array, parameter
+from ._typing import float_array
 from .geometry import unit
 from .state import State
 
@@ -28,7 +29,7 @@ class Chain(eqx.Module):
     **Raises** `ValueError` for a radius that is not positive or does not fit the number of beads.
     """
 
-    radius: Float[Array, ""] | Float[Array, " beads"] = parameter()
+    radius: Float[Array, ""] | Float[Array, " beads"] = eqx.field(converter=float_array)
     fibres: tuple[int, ...] = eqx.field(static=True)
 
     def __init__(self, radius: Any, fibres: int | Sequence[int]) -> None:
@@ -79,7 +80,7 @@ class Chain(eqx.Module):
     def length(self) -> Float[Array, " fibres"]:
         """Contour length of each fibre, the sum of its beads' diameters (2 a N) [length]."""
         ends = np.cumsum((0, *self.fibres))
-        return jnp.stack([2 * self.radii[i:j].sum() for i, j in zip(ends[:-1], ends[1:], strict=True)])
+        return jnp.stack([2 * self.radii[i:j].sum() for i, j in pairwise(ends)])
 
     def centres(self, position: Float[Array, "beads dim"]) -> Float[Array, "fibres dim"]:
         """Mean position of each fibre's beads."""
@@ -100,8 +101,14 @@ def from_tangents(chain: Chain, tangents: Any, centre: Any = None) -> Float[Arra
     **Returns** positions, shape `(beads, dim)`. **Raises** `ValueError` for shapes that do not fit.
     """
     tangents = float_array(tangents)
-    if tangents.ndim != 2 or tangents.shape[0] != chain.beads - 1 or tangents.shape[1] not in (2, 3):
-        fail("tangents", f"have shape ({chain.beads - 1}, 2 or 3)", f"it has shape {tangents.shape}")
+    if (
+        tangents.ndim != 2
+        or tangents.shape[0] != chain.beads - 1
+        or tangents.shape[1] not in (2, 3)
+    ):
+        fail(
+            "tangents", f"have shape ({chain.beads - 1}, 2 or 3)", f"it has shape {tangents.shape}"
+        )
     finite("tangents", tangents)
     dim = tangents.shape[1]
     centre = jnp.zeros(dim) if centre is None else float_array(centre)

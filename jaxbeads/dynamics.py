@@ -101,17 +101,17 @@ def _matrix(t: Time, state: State, scene: Scene, operator: MobilityOperator) -> 
     """
     j = _constraints(t, state, scene)
     rows, first, time = j.offset.shape[0], scene.constraints[0], jnp.asarray(t)
-    direct = isinstance(first, AbstractChainConstraint) and isinstance(operator, PairTensor)
-    if direct:
+    block = None
+    if isinstance(first, AbstractChainConstraint) and isinstance(operator, PairTensor):
         block = first.assemble(time, state, operator, scene.chain)
-        if block.shape[0] == rows:
-            return block
-    known = block.shape[0] if direct else 0
+    known = 0 if block is None else block.shape[0]
     units = jnp.eye(rows - known, rows, known, dtype=j.offset.dtype)
     rest = jax.vmap(lambda unit: j.compliance(operator, unit))(units)
-    if not direct:
+    if block is None:
         return rest
-    return jnp.concatenate([jnp.pad(block, ((0, 0), (0, rows - known))), rest])
+    return (
+        jnp.concatenate([jnp.pad(block, ((0, 0), (0, rows - known))), rest]) if len(rest) else block
+    )
 
 
 def evaluate(t: Time, state: State, scene: Scene) -> Evaluation:
@@ -185,5 +185,7 @@ def rate(t: Time, state: State, scene: Scene) -> State:
     if state.director is None:
         return State(moved.velocity)
     if moved.spin is None:
-        raise ValueError("Argument `state` must hold no directors, but no term of the scene turns beads.")
+        raise ValueError(
+            "Argument `state` must hold no directors, but no term of the scene turns beads."
+        )
     return State(moved.velocity, spin_cross(moved.spin, state.director))

@@ -73,7 +73,10 @@ class TrajectoryFile:
             columns[name] = np.zeros(1)
         for name, first in columns.items():
             handle.create_dataset(
-                name, shape=(0, *first.shape[1:]), maxshape=(None, *first.shape[1:]), chunks=True,
+                name,
+                shape=(0, *first.shape[1:]),
+                maxshape=(None, *first.shape[1:]),
+                chunks=True,
                 dtype=first.dtype,
             )
         return cls(handle)
@@ -153,7 +156,7 @@ def planned_times(path: str | Path) -> jax.Array:
 
 def batch_state(position: jax.Array, director: jax.Array | None) -> State:
     """A `State` with leading axes."""
-    blank = np.zeros((1, 2))
+    blank = jnp.zeros((1, 2))
     tree = jax.tree.structure(State(blank, None if director is None else blank))
     return jax.tree.unflatten(tree, [x for x in (position, director) if x is not None])
 

@@ -34,6 +34,9 @@ __all__ = [
 ]
 
 
+_RPY = RPY()
+
+
 def curvature(position: Float[Array, "*times beads dim"], chain: Chain) -> Array:
     """Curvature |e x e'| / l at each inner bead, eq. (34), shape `(*times, beads - 2)` [1/length].
 
@@ -59,7 +62,9 @@ def end_to_end_distance(position: Float[Array, "*times beads dim"]) -> Float[Arr
     return norm(position[..., -1, :] - position[..., 0, :])
 
 
-def deflection(position: Float[Array, "*times beads dim"], direction: Any) -> Float[Array, "*times"]:
+def deflection(
+    position: Float[Array, "*times beads dim"], direction: Any
+) -> Float[Array, "*times"]:
     """Distance of the extreme bead centres along `direction` (A of the settling fibre) [length]."""
     unit = jnp.asarray(direction) / jnp.linalg.norm(jnp.asarray(direction))
     height = position @ unit
@@ -94,7 +99,8 @@ def orbit_period(ts: Any, position: Any) -> float:
     # Inverse interpolation: time as the cubic in the angle through four neighbours.
     t, x = ts[near], turned[near]
     half = sum(
-        t[i] * np.prod([(np.pi - x[j]) / (x[i] - x[j]) for j in range(4) if j != i]) for i in range(4)
+        t[i] * np.prod([(np.pi - x[j]) / (x[i] - x[j]) for j in range(4) if j != i])
+        for i in range(4)
     )
     return float(2 * (half - ts[0]))
 
@@ -119,7 +125,7 @@ def friction_coefficient(t: Time, state: State, scene: Scene, force: Any) -> Flo
 
 
 def rigid_resistance(
-    position: Any, chain: Chain, viscosity: Any = 1.0, mobility: AbstractMobility = RPY()  # noqa: B008
+    position: Any, chain: Chain, viscosity: Any = 1.0, mobility: AbstractMobility = _RPY
 ) -> Float[Array, "motions motions"]:
     """Resistance of the beads moved as one rigid body about their mean position.
 

@@ -12,14 +12,15 @@ from jaxtyping import Array, Float, Int
 
 from ._checks import fail, increasing, known, whole
 from ._typing import float_array
-from .dynamics import constraint_residual
 from .constraint import AbstractChainConstraint
+from .dynamics import constraint_residual
 from .scene import Scene, check
 from .solver import AB3, AdaptiveSteps, FixedSteps
 from .solver.stepping import Carry, substeps_for
 from .state import State
 
 Stepper = FixedSteps | AdaptiveSteps
+_AB3 = AB3()
 
 
 class Solution(eqx.Module):
@@ -116,7 +117,7 @@ def rollout(
     state: State,
     ts: Any,
     *,
-    solver: diffrax.AbstractSolver = AB3(),  # noqa: B008
+    solver: diffrax.AbstractSolver = _AB3,
     substeps: int | None = None,
     controller: diffrax.AbstractStepSizeController | None = None,
     projected: bool = False,

@@ -3,13 +3,13 @@
 from collections.abc import Sequence
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from ._checks import fail, finite, positive, shape
-from ._typing import parameter
+from ._typing import float_array
 from .chain import Chain
 from .constraint import AbstractConstraint
 from .flow import AbstractFlow, LinearFlow
@@ -35,7 +35,7 @@ class Scene(eqx.Module):
     """
 
     chain: Chain
-    viscosity: Float[Array, ""] = parameter()
+    viscosity: Float[Array, ""] = eqx.field(converter=float_array)
     mobility: AbstractMobility = RPY()
     constraints: tuple[AbstractConstraint, ...] = eqx.field(converter=tuple, default=())
     forces: tuple[AbstractForce, ...] = eqx.field(converter=tuple, default=())
@@ -83,7 +83,7 @@ def check(
         fail("state", f"hold the chain's {chain.beads} beads", f"it holds {beads}")
     finite("state.position", position)
     _check_terms(scene, dim)
-    tracers = any(isinstance(x, jax.core.Tracer) for x in (position, chain.radius))
+    tracers = any(isinstance(x, Tracer) for x in (position, chain.radius))
     if not overlap and not tracers:
         x, a = np.asarray(position), np.asarray(chain.radii)
         gap = np.linalg.norm(x[:, None] - x[None], axis=-1) - a[:, None] - a[None, :]
@@ -108,5 +108,5 @@ def _check_terms(scene: Scene, dim: int) -> None:
         shape("LinearFlow.matrix", scene.flow.matrix, (dim, dim))
         if dim == 3:
             trace = jnp.trace(scene.flow.matrix)
-            if not isinstance(trace, jax.core.Tracer) and abs(trace) > 1e-9:
+            if not isinstance(trace, Tracer) and abs(trace) > 1e-9:
                 fail("LinearFlow.matrix", "have no trace (incompressible)", f"it is {trace:g}")

@@ -25,6 +25,8 @@ from .solver import AB3, FixedSteps, bending_step
 from .solver.stepping import Carry
 from .state import State
 
+_AB3 = AB3()
+
 # One compiled program for all scenes of one shape: everything numeric is an argument.
 _advance = eqx.filter_jit(advance)
 _init = eqx.filter_jit(lambda stepper, *args: stepper.init(*args))
@@ -50,9 +52,9 @@ class _Listener:
             self.listening = True
         return self.seconds
 
-    def _listen(self, event: str, duration: float, **_: Any) -> None:
+    def _listen(self, event: str, duration_secs: float, **_: str | int) -> None:
         if event in _COMPILING:
-            self.seconds += duration
+            self.seconds += duration_secs
 
 
 _compiling = _Listener()
@@ -79,7 +81,7 @@ def simulate(
     state: State,
     ts: Any,
     *,
-    solver: diffrax.AbstractSolver = AB3(),  # noqa: B008
+    solver: diffrax.AbstractSolver = _AB3,
     substeps: int | None = None,
     controller: diffrax.AbstractStepSizeController | None = None,
     projected: bool = False,
@@ -118,7 +120,7 @@ def simulate(
     _warn_of_large_step(scene, stepper, times)
     carry = _init(stepper, scene, state, times[0], times[1])
     first = _part(scene, times[:1], jax.tree.map(lambda x: x[None], state), carry)
-    if not np.all(np.isfinite(first.residual)):
+    if not np.all(np.isfinite(np.asarray(first.residual))):
         raise SimulationError(explain(scene, state, float(times[0]), 0, None), first)
     target = None if file is None else TrajectoryFile.create(file, scene, stepper, times, state)
     if target is not None:
@@ -131,7 +133,7 @@ def resume(
     file: str | Path,
     scene: Scene,
     *,
-    solver: diffrax.AbstractSolver = AB3(),  # noqa: B008
+    solver: diffrax.AbstractSolver = _AB3,
     substeps: int | None = None,
     controller: diffrax.AbstractStepSizeController | None = None,
     projected: bool = False,

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ._checks import fail, finite
-from ._typing import optional_float_array, parameter
+from ._typing import float_array, optional_float_array
 
 
 class State(eqx.Module):
@@ -24,7 +24,7 @@ class State(eqx.Module):
     **Raises** `ValueError` for a position that is not finite or not of shape `(beads, 2 or 3)`.
     """
 
-    position: Float[Array, "beads dim"] = parameter()
+    position: Float[Array, "beads dim"] = eqx.field(converter=float_array)
     director: Float[Array, "beads dim"] | None = eqx.field(
         converter=optional_float_array, default=None
     )

@@ -7,14 +7,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import fail, finite
-from .._typing import float_array, parameter
+from .._typing import float_array
 from .base import AbstractLinearFlow
 
 
 class Shear(AbstractLinearFlow):
     """Simple shear, u_x = rate y. **Argument** `rate`: shear rate [1/time]."""
 
-    rate: Float[Array, ""] = parameter()
+    rate: Float[Array, ""] = eqx.field(converter=float_array)
 
     def __check_init__(self) -> None:
         finite("rate", self.rate)
@@ -30,9 +30,9 @@ class OscillatingShear(AbstractLinearFlow):
     **Arguments** `rate` [1/time], `angular_frequency` [rad/time], `phase` [rad].
     """
 
-    rate: Float[Array, ""] = parameter()
-    angular_frequency: Float[Array, ""] = parameter()
-    phase: Float[Array, ""] = parameter(default=0.0)
+    rate: Float[Array, ""] = eqx.field(converter=float_array)
+    angular_frequency: Float[Array, ""] = eqx.field(converter=float_array)
+    phase: Float[Array, ""] = eqx.field(converter=float_array, default=0.0)
 
     def __check_init__(self) -> None:
         finite("rate", self.rate)
@@ -47,14 +47,16 @@ class OscillatingShear(AbstractLinearFlow):
 class Extension(AbstractLinearFlow):
     """Planar extension, u = rate (x, -y). **Argument** `rate` [1/time]."""
 
-    rate: Float[Array, ""] = parameter()
+    rate: Float[Array, ""] = eqx.field(converter=float_array)
 
     def __check_init__(self) -> None:
         finite("rate", self.rate)
 
     def gradient(self, t: Float[Array, ""], dim: int) -> Float[Array, "dim dim"]:
         """rate, -rate on the diagonal."""
-        return jnp.zeros((dim, dim), self.rate.dtype).at[0, 0].set(self.rate).at[1, 1].set(-self.rate)
+        return (
+            jnp.zeros((dim, dim), self.rate.dtype).at[0, 0].set(self.rate).at[1, 1].set(-self.rate)
+        )
 
 
 class LinearFlow(AbstractLinearFlow):

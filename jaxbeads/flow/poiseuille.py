@@ -1,10 +1,11 @@
 """Pressure-driven flow between plates."""
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import finite, positive
-from .._typing import parameter
+from .._typing import float_array
 from .base import AbstractFlow
 
 
@@ -14,8 +15,8 @@ class Poiseuille(AbstractFlow):
     **Arguments** `speed` on the centre line [length/time], `half_width` [length], positive.
     """
 
-    speed: Float[Array, ""] = parameter()
-    half_width: Float[Array, ""] = parameter()
+    speed: Float[Array, ""] = eqx.field(converter=float_array)
+    half_width: Float[Array, ""] = eqx.field(converter=float_array)
 
     def __check_init__(self) -> None:
         finite("speed", self.speed)

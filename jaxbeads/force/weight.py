@@ -2,11 +2,12 @@
 
 from typing import Any, ClassVar
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import fail, finite
-from .._typing import float_array, parameter
+from .._typing import float_array
 from ..chain import Chain
 from ..state import Load, State
 from .base import AbstractForce
@@ -23,7 +24,7 @@ class Weight(AbstractForce):
     """
 
     rotational: ClassVar[bool] = False
-    force: Float[Array, " dim"] | Float[Array, "beads dim"] = parameter()
+    force: Float[Array, " dim"] | Float[Array, "beads dim"] = eqx.field(converter=float_array)
 
     def __init__(self, force: Any) -> None:
         self.force = float_array(force)

@@ -21,8 +21,14 @@ from ..force import Bending, BendingEnergy
 from ..scene import Scene
 from ..state import State
 
-_TERM = diffrax.ODETerm(rate)
-Time = Float[Array, ""]
+Time = Any  # a scalar: `diffrax` hands out floats and arrays
+
+
+def _vector_field(t: Time, state: State, scene: Scene) -> State:
+    return rate(t, state, scene)
+
+
+_TERM = diffrax.ODETerm(_vector_field)
 
 
 def bending_step(scene: Scene) -> Float[Array, ""]:
@@ -135,7 +141,7 @@ class AdaptiveSteps(eqx.Module):
         y, error, dense, memory, result = self.solver.step(
             _TERM, a.previous, a.next, a.state, scene, a.solver, a.jump
         )
-        order = self.solver.error_order(_TERM)
+        order: Any = self.solver.error_order(_TERM)
         # A step that fails or leaves the finite numbers is tried again with a smaller one.
         bad = (result != diffrax.RESULTS.successful) | ~jnp.all(jnp.isfinite(y.position))
         error = jax.tree.map(lambda e: jnp.where(bad, jnp.inf, e), error)
@@ -153,7 +159,13 @@ class AdaptiveSteps(eqx.Module):
         # The step has shrunk until it no longer moves the time: nothing helps.
         stuck = (end <= start) | (verdict != diffrax.RESULTS.successful)
         after = _Adaptive(
-            start, end, pick(y, a.state), pick(memory, a.solver), controller, jnp.asarray(jump), dense
+            start,
+            end,
+            pick(y, a.state),
+            pick(memory, a.solver),
+            controller,
+            jnp.asarray(jump),
+            dense,
         )
         return jnp.where(stuck, 2, code), after
 
@@ -167,14 +179,20 @@ class AdaptiveSteps(eqx.Module):
         def body(loop: tuple[Array, Array, _Adaptive]) -> tuple[Array, Array, _Adaptive]:
             count, code, a = loop
             code, a = self._attempt(scene, code, a)
-            return count + 1, jnp.where((count + 1 >= self.max_steps) & (a.previous < t1), 1, code), a
+            return (
+                count + 1,
+                jnp.where((count + 1 >= self.max_steps) & (a.previous < t1), 1, code),
+                a,
+            )
 
         first = jnp.zeros((), int), carry.code, carry.memory
         count, code, a = eqxi.while_loop(
             unfinished, body, first, max_steps=self.max_steps, kind="checkpointed"
         )
         start, end, info = a.dense
-        inside = jnp.where(end > start, end, start + 1)  # before the first step there is no interval
+        inside = jnp.where(
+            end > start, end, start + 1
+        )  # before the first step there is no interval
         y = self.solver.interpolation_cls(t0=start, t1=inside, **info).evaluate(t1)
         if self.projected:
             y = project(scene, y)

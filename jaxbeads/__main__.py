@@ -1,0 +1,135 @@
+"""`python -m jaxbeads SCENE`: the ready-made scenes from the shell."""
+
+import argparse
+import inspect
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import diffrax
+import jax
+import numpy as np
+
+from .breakdown import SimulationError
+from .rollout import Solution
+from .scenes import SCENES, Case, ReadyMade
+from .solver import AB3
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m jaxbeads",
+        description="Bead models of flexible fibres in Stokes flow: ready-made scenes.",
+    )
+    scenes = parser.add_subparsers(dest="scene", metavar="SCENE")
+    for ready in SCENES:
+        sub = scenes.add_parser(ready.name, help=ready.summary, description=ready.summary)
+        defaults = inspect.signature(ready.build).parameters
+        for option, text in ready.options.items():
+            default = defaults[option].default
+            sub.add_argument(
+                f"--{option.replace('_', '-')}",
+                type=type(default),
+                default=default,
+                help=f"{text} (default {default})",
+            )
+        sub.add_argument(
+            "--solver",
+            default="AB3",
+            metavar="NAME",
+            help="AB3 (default) or a diffrax solver, as Tsit5 or Kvaerno5, with adaptive steps",
+        )
+        sub.add_argument(
+            "--out", type=Path, metavar="DIR", help="write pictures, movie, trajectory"
+        )
+        sub.add_argument("--json", action="store_true", help="print the results as JSON, last line")
+    return parser
+
+
+def _solver_options(name: str, case: Case) -> dict[str, Any]:
+    if name.lower() == "ab3":
+        return {"solver": AB3()}
+    known = {k.lower(): v for k, v in vars(diffrax).items() if inspect.isclass(v)}
+    kind = known.get(name.lower())
+    adaptive = kind is not None and issubclass(kind, diffrax.AbstractAdaptiveSolver)
+    if not adaptive or inspect.isabstract(kind):
+        raise ValueError(
+            "Argument `--solver` must be AB3 or the name of an adaptive diffrax solver (Tsit5, Dopri5, "
+            f"Kvaerno3, Kvaerno5, ...), but it is {name!r}."
+        )
+    tolerance = 1e-7 * float(case.scene.chain.length[0])
+    return {"solver": kind(), "controller": diffrax.PIDController(rtol=0.0, atol=tolerance)}  # pyright: ignore[reportOptionalCall]
+
+
+def _write(ready: ReadyMade, case: Case, solution: Solution, folder: Path) -> list[Path]:
+    from . import plot
+
+    chain = case.scene.chain
+    view = plot.View(co_moving=case.scene.flow is None, stretch=ready.stretch)
+    label, measure = ready.plotted
+    written = [folder / f"{ready.name}.h5"]
+    pictures = {
+        "shapes": plot.shapes(solution, chain, view=view),
+        "observable": plot.observable(solution.ts, measure(case, solution), label),
+    }
+    if chain.fibres[0] > 2:
+        pictures["curvature"] = plot.kymograph(solution, chain)
+    for name, figure in pictures.items():
+        written.append(folder / f"{ready.name}_{name}.png")
+        figure.savefig(written[-1])
+    written.append(plot.movie(solution, chain, folder / f"{ready.name}.gif", view=view))
+    return written
+
+
+def _run(ready: ReadyMade, arguments: argparse.Namespace) -> None:
+    case = ready.build(**{name: getattr(arguments, name) for name in ready.options})
+    options: dict[str, Any] = _solver_options(arguments.solver, case)
+    folder: Path | None = arguments.out
+    if folder is not None:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ValueError(
+                f"Argument `--out` must be a folder that can be written, but {folder} is not: {error}."
+            ) from None
+        options["file"] = folder / f"{ready.name}.h5"
+    solution = case.simulate(**options)
+    print(solution.summary())
+    results = ready.observables(case, solution)
+    for name, value in results.items():
+        print(f"  {name:<24}{value:.6g}")
+    if folder is not None:
+        for path in _write(ready, case, solution, folder):
+            print(f"  wrote {path}")
+    if arguments.json:
+        run = {
+            "wall_s": solution.wall_s,
+            "compile_s": solution.compile_s,
+            "steps": int(solution.steps),
+            "constraint_residual": float(np.max(np.asarray(solution.residual))),
+            "bond_length_error": float(np.max(np.asarray(solution.bond_length_error))),
+        }
+        print(json.dumps({**results, **run}))
+
+
+def main(words: list[str] | None = None) -> int:
+    """Run the shell command; returns its exit code."""
+    arguments = _parser().parse_args(words)
+    if arguments.scene is None:
+        print("Scenes (python -m jaxbeads SCENE --help shows a scene's options):")
+        for ready in SCENES:
+            print(f"  {ready.name:<14}{ready.summary}")
+        return 0
+    jax.config.update("jax_enable_x64", True)  # a program of its own may choose; a library may not
+    ready = next(r for r in SCENES if r.name == arguments.scene)
+    try:
+        _run(ready, arguments)
+    except (ValueError, SimulationError) as error:
+        print(error, file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

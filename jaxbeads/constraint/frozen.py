@@ -1,0 +1,29 @@
+"""Frozen joints: a fibre of infinite bending rigidity."""
+
+from typing import ClassVar
+
+from jaxtyping import Array, Float
+
+from .._checks import fail
+from ..chain import Chain
+from ..geometry import bonds, cross
+from ..state import Motion, State
+from .base import AbstractConstraint
+
+
+class FrozenJoints(AbstractConstraint):
+    """Successive bonds turn at the same rate, so that the angles at the joints stay as they are.
+
+    The limit K_b -> infinity of `Bending`, without its small time step; together with a constraint
+    that keeps the bond lengths the fibre is rigid, while its beads may still roll. Planar scenes only.
+    """
+
+    rotational: ClassVar[bool] = False
+
+    def slip(self, t: Float[Array, ""], state: State, motion: Motion, chain: Chain) -> Array:
+        """Difference of the turning rates of the two bonds at each joint [1/time], `(joints,)`."""
+        if state.position.shape[1] != 2:
+            fail("state", "be planar for FrozenJoints", "it is three-dimensional")
+        d = bonds(state.position)
+        turning = cross(d, bonds(motion.velocity))[:, 0] / (d * d).sum(axis=1)
+        return (turning[1:] - turning[:-1])[chain.joint_mask]

@@ -1,0 +1,208 @@
+"""Pictures: shapes over time, an observable, a kymograph of curvature, a movie.
+
+Each function takes a solution and returns a `matplotlib` figure, or writes a file. Lengths are in
+units of the first fibre's length unless said. Imported on demand only (`import jaxbeads.plot`).
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection, PatchCollection
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+from matplotlib.ticker import MaxNLocator
+from PIL import Image
+
+from ._checks import fail
+from .chain import Chain
+from .observables import curvature
+from .rollout import Solution
+
+
+def _figure(axes: Axes | None, size: tuple[float, float]) -> tuple[Figure, Axes]:
+    if axes is not None:
+        figure = axes.get_figure()
+        if not isinstance(figure, Figure):
+            fail("axes", "belong to a figure", "they do not")
+        return figure, axes  # pyright: ignore[reportReturnType]
+    figure = Figure(figsize=size, layout="constrained", dpi=150)
+    return figure, figure.add_subplot()
+
+
+@dataclass(frozen=True)
+class View:
+    """How positions become points of a picture.
+
+    - `co_moving`: subtract the mean position at each time.
+    - `plane`: the two coordinates shown.
+    - `stretch`: factor on the second one, to see small deflections (the axes then say so).
+    """
+
+    co_moving: bool = False
+    plane: tuple[int, int] = (0, 1)
+    stretch: float = 1.0
+
+    def points(self, solution: Solution, length: float) -> np.ndarray:
+        """Points in units of `length`, shape `(times, beads, 2)`."""
+        position = np.asarray(solution.states.position) / length
+        if max(self.plane) >= position.shape[2] or self.plane[0] == self.plane[1]:
+            fail("plane", f"name two of the {position.shape[2]} coordinates", f"it is {self.plane}")
+        if self.co_moving:
+            position = position - position.mean(axis=1, keepdims=True)
+        return position[:, :, list(self.plane)] * np.array([1.0, self.stretch])
+
+    def label(self, ax: Axes) -> None:
+        """Write what the axes are."""
+        first, second = ("xyz"[k] for k in self.plane)
+        if self.co_moving:
+            first, second = f"({first} - {first}_c)", f"({second} - {second}_c)"
+        factor = "" if self.stretch == 1 else rf"{self.stretch:g}\,"
+        ax.set_xlabel(f"${first}/L$")
+        ax.set_ylabel(f"${factor}{second}/L$")
+
+
+_WHOLE = View()
+
+
+def _snapshots(points: np.ndarray, number: int) -> np.ndarray:
+    """Times between which the shape changes equally much, so that fast events are seen."""
+    shape = points - points.mean(axis=1, keepdims=True)
+    change = np.linalg.norm(np.diff(shape, axis=0), axis=2).mean(axis=1)
+    path = np.concatenate([[0.0], np.cumsum(change + 1e-3 * change.mean() + 1e-300)])
+    return np.unique(np.searchsorted(path, np.linspace(0, path[-1] * (1 - 1e-12), number)))
+
+
+def shapes(
+    solution: Solution,
+    chain: Chain,
+    *,
+    number: int = 12,
+    view: View = _WHOLE,
+    axes: Axes | None = None,
+) -> Figure:
+    """Centre lines at `number` saved times, coloured by time.
+
+    The times are such that the shape changes equally much from one to the next. **Returns** a figure
+    with equal axes in units of the first fibre's length L.
+    """
+    points = view.points(solution, float(chain.length[0]))
+    ts = np.asarray(solution.ts)
+    scale, colours = Normalize(ts[0], ts[-1]), colormaps["viridis"]
+    figure, ax = _figure(axes, (5.0, 4.0))
+    cuts = np.cumsum(chain.fibres)[:-1]
+    for k in _snapshots(points, number):
+        lines = np.split(points[k], cuts)
+        ax.add_collection(LineCollection(lines, colors=[colours(scale(ts[k]))], linewidths=1.8))
+    ax.autoscale_view()
+    ax.set_aspect("equal", adjustable="datalim")
+    view.label(ax)
+    figure.colorbar(ScalarMappable(scale, colours), ax=ax, label="time $t$")
+    return figure
+
+
+def observable(
+    ts: Any, values: Any, label: str, *, time_label: str = "time $t$", axes: Axes | None = None
+) -> Figure:
+    """A quantity over time. **Returns** a figure."""
+    figure, ax = _figure(axes, (5.0, 3.2))
+    ax.plot(np.asarray(ts), np.asarray(values), color="#31688e", linewidth=1.6)
+    ax.xaxis.set_major_locator(MaxNLocator(6))
+    ax.set_xlabel(time_label)
+    ax.set_ylabel(label)
+    ax.grid(alpha=0.3)
+    return figure
+
+
+def kymograph(solution: Solution, chain: Chain, *, axes: Axes | None = None) -> Figure:
+    """Curvature times length along the (first) fibre, over time.
+
+    Signed in the plane, where red bends anticlockwise from the first bead to the last.
+    **Returns** a figure. **Raises** `ValueError` for fewer than three beads.
+    """
+    beads = chain.fibres[0]
+    if beads < 3:
+        fail("chain", "have at least three beads in its first fibre", f"it has {beads}")
+    length, ts = float(chain.length[0]), np.asarray(solution.ts)
+    values = np.asarray(curvature(solution.states.position, chain))[:, : beads - 2] * length
+    planar = solution.states.position.shape[2] == 2
+    most = max(float(np.max(np.abs(values))), 1e-6)  # rounding is not worth a colour
+    figure, ax = _figure(axes, (5.0, 3.6))
+    arclength = np.arange(0.5, beads - 1) / (beads - 1)
+    image = ax.pcolormesh(
+        ts,
+        (arclength[1:] + arclength[:-1]) / 2,
+        values.T,
+        cmap="RdBu_r" if planar else "viridis",
+        vmin=-most if planar else 0.0,
+        vmax=most,
+        shading="nearest",
+        rasterized=True,
+    )
+    ax.xaxis.set_major_locator(MaxNLocator(6))
+    ax.set_xlabel("time $t$")
+    ax.set_ylabel("arclength $s/L$")
+    figure.colorbar(image, ax=ax, label=r"curvature $\kappa L$")
+    return figure
+
+
+def movie(
+    solution: Solution,
+    chain: Chain,
+    path: str | Path,
+    *,
+    frames: int = 90,
+    seconds: float = 6.0,
+    view: View = _WHOLE,
+) -> Path:
+    """Write an animated gif of the beads, drawn to scale.
+
+    **Arguments**: number of `frames`, spread evenly over the saved times; duration in `seconds`.
+    **Returns** the path. **Raises** `ValueError` if it cannot be written.
+    """
+    length = float(chain.length[0])
+    points, radii = view.points(solution, length), np.asarray(chain.radii) / length
+    ts = np.asarray(solution.ts)
+    chosen = np.unique(np.linspace(0, len(ts) - 1, frames).round().astype(int))
+    low, high = points.min(axis=(0, 1)) - 0.05, points.max(axis=(0, 1)) + 0.05
+    width, height = high - low
+    figure = Figure(figsize=(5.0, float(np.clip(5 * height / width, 1.5, 6.0)) + 0.6), dpi=90)
+    ax = figure.add_axes((0.13, 0.12, 0.84, 0.8))
+    colours = colormaps["viridis"](np.linspace(0, 0.9, len(radii)))
+    images = []
+    for k in chosen:
+        ax.clear()
+        ax.set_xlim(low[0], high[0])
+        ax.set_ylim(low[1], high[1])
+        ax.set_aspect("equal")
+        view.label(ax)
+        ax.set_title(f"t = {ts[k]:.4g}", fontsize=9)
+        beads = [Circle(tuple(p), r) for p, r in zip(points[k], radii, strict=True)]
+        ax.add_collection(PatchCollection(beads, facecolors=colours, edgecolors="none"))
+        images.append(_raster(figure))
+    path = Path(path)
+    try:
+        images[0].save(
+            path,
+            save_all=True,
+            append_images=images[1:],
+            duration=max(20, int(1000 * seconds / len(images))),
+            loop=0,
+        )
+    except OSError as error:
+        fail("path", "be a file that can be written", f"{path} is not: {error}")
+    return path
+
+
+def _raster(figure: Figure) -> Image.Image:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    pixels = Image.fromarray(np.asarray(canvas.buffer_rgba()))
+    return pixels.convert("P", palette=Image.Palette.ADAPTIVE)

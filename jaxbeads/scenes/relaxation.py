@@ -1,0 +1,86 @@
+"""Free relaxation of a bent fibre: the decay of one bending mode."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from .._checks import fail, positive, whole
+from ..chain import Chain, from_tangents, straight
+from ..constraint import Gears
+from ..dynamics import motion
+from ..force import Bending
+from ..rollout import Solution
+from ..scene import Scene
+from ..solver import bending_step
+from ..state import State
+from .case import Case, ReadyMade
+
+
+def _modes(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Decay rates of a straight fibre's bending modes, slowest first, and their shapes in columns."""
+    flat = straight(scene.chain, [1.0, 0.0]).position
+
+    def lateral(y: Array) -> Array:
+        return motion(0.0, State(flat.at[:, 1].set(y)), scene).velocity[:, 1]
+
+    jacobian = jax.jit(jax.jacfwd(lateral))(jnp.zeros(scene.chain.beads))
+    values, shapes = (np.real(x) for x in np.linalg.eig(np.asarray(jacobian)))
+    order = np.argsort(-values)[2:]  # the first two, 0, are translation and rotation
+    return -values[order], shapes[:, order]
+
+
+def relaxation(
+    beads: int = 34,
+    mode: int = 1,
+    *,
+    radius: float = 1.0,
+    viscosity: float = 1.0,
+    rigidity: float = 1.0,
+    amplitude: float = 1e-4,
+) -> Case:
+    """A free Gears fibre, bent slightly in one of its bending modes, in a quiescent fluid.
+
+    The mode comes from the linearised motion about the straight shape; it is followed for one decay
+    time or 20 000 steps, whichever is shorter.
+
+    **Arguments**: number of beads (at least 4); number of the mode, from 1 to beads - 2; a [length];
+    mu; K_b; largest lateral displacement over the length.
+    """
+    whole("beads", beads, 4)
+    whole("mode", mode, 1)
+    if mode > beads - 2:
+        fail("mode", f"be at most {beads - 2} (beads - 2)", f"it is {mode}")
+    positive("rigidity", rigidity)
+    chain = Chain(radius, beads)
+    scene = Scene(chain, viscosity, constraints=[Gears()], forces=[Bending(rigidity)])
+    rates, shapes = _modes(scene)
+    shape = shapes[:, mode - 1] / np.abs(shapes[:, mode - 1]).max()
+    rise = amplitude * float(chain.length[0]) * np.diff(shape) / np.asarray(chain.bond_length)
+    state = State(from_tangents(chain, np.stack([np.sqrt(1 - rise**2), rise], axis=1)))
+    span = min(1 / rates[mode - 1], 20_000 * float(bending_step(scene)))
+    return Case(scene, state, np.linspace(0, span, 41))
+
+
+def _amplitude(case: Case, solution: Solution) -> np.ndarray:
+    y = np.asarray(solution.states.position)[:, :, 1]
+    return np.linalg.norm(y - y.mean(axis=1, keepdims=True), axis=1)
+
+
+def _observables(case: Case, solution: Solution) -> dict[str, float]:
+    scene = case.scene
+    bending = next(f for f in scene.forces if isinstance(f, Bending))
+    rate = -np.polyfit(np.asarray(solution.ts), np.log(_amplitude(case, solution)), 1)[0]
+    scale = scene.viscosity * scene.chain.length[0] ** 4 / bending.rigidity
+    return {"rate": float(rate * scale)}
+
+
+RELAXATION = ReadyMade(
+    "relaxation",
+    "free relaxation of a bending mode: its rate",
+    relaxation,
+    {"beads": "number of beads", "mode": "number of the bending mode, from 1"},
+    _observables,
+    ("amplitude over its start", lambda c, s: _amplitude(c, s) / _amplitude(c, s)[0]),
+    stretch=2000.0,
+)

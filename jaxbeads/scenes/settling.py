@@ -1,0 +1,108 @@
+"""Flexible fibre settling under its weight (section 3.3 of the paper)."""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from .._checks import positive, whole
+from ..chain import Chain, from_tangents, straight
+from ..constraint import Gears
+from ..dynamics import applied_load
+from ..force import Bending, Weight
+from ..numbers import rigidity_from_elasto_gravitational_number
+from ..observables import deflection, friction_coefficient, rigid_resistance, tilt
+from ..rollout import Solution
+from ..scene import Scene
+from ..solver import bending_step
+from ..solver.stepping import substeps_for
+from ..state import State
+from .case import Case, ReadyMade
+
+_UP = np.array([0.0, 1.0])
+
+
+def settling(
+    beads: int = 34,
+    elasto_gravitational: float = 1000.0,
+    *,
+    radius: float = 1.0,
+    viscosity: float = 1.0,
+    weight: float = 1.0,
+    perturbation: float = 1e-6,
+) -> Case:
+    """A flexible Gears fibre that settles along -y from a horizontal shape, until it is steady.
+
+    Above B of about 3000 a straight start passes through a W shape which only an asymmetry can leave.
+    The start therefore slopes by `perturbation` radians at one end, falling to zero at the other; a
+    steady shape does not depend on it.
+
+    **Arguments**: number of beads (at least 3); B = F L^2 / K_b, eq. (55), with F the whole weight;
+    a [length]; mu; weight of a bead [force]; `perturbation` [rad].
+    """
+    whole("beads", beads, 3)
+    positive("elasto_gravitational", elasto_gravitational)
+    positive("weight", weight)
+    chain = Chain(radius, beads)
+    length = float(chain.length[0])
+    rigidity = rigidity_from_elasto_gravitational_number(
+        elasto_gravitational, weight * beads, length
+    )
+    scene = Scene(
+        chain,
+        viscosity,
+        constraints=[Gears()],
+        forces=[Weight(-weight * _UP), Bending(rigidity)],
+    )
+    slope = perturbation * np.linspace(0, 1, beads - 1) ** 2
+    state = State(from_tangents(chain, np.stack([np.cos(slope), np.sin(slope)], axis=1)))
+    relaxation = viscosity * length**4 / (100 * float(rigidity))  # of the slowest bending mode
+    ts = np.linspace(0, 60 * relaxation, 6001)
+    # Eq. (39) knows of bending only: a soft fibre must not fall by more than 0.2 a in a step either.
+    speed = weight * beads / float(_rigid_friction(scene))
+    step = min(float(bending_step(scene)), 0.2 * radius / speed)
+    return Case(scene, state, ts, substeps_for(scene, jnp.asarray(ts), step), _steady, chunk=50)
+
+
+def _rigid_friction(scene: Scene) -> Array:
+    """Friction coefficient of the straight fibre across its axis."""
+    flat = straight(scene.chain, [1.0, 0.0]).position
+    return rigid_resistance(flat, scene.chain, scene.viscosity, scene.mobility)[1, 1]
+
+
+def _steady(solution: Solution) -> bool:
+    """Whether the shape has hardly changed over the time of the slowest bending mode."""
+    if len(solution.ts) < 301:
+        return False
+    position = solution.states.position[-151:]
+    shape = position - jnp.mean(position, axis=1, keepdims=True)
+    length = jnp.sum(jnp.linalg.norm(jnp.diff(shape[-1], axis=0), axis=1))
+    return bool(jnp.max(jnp.abs(shape - shape[-1])) < 1e-6 * length)
+
+
+def _deflection(case: Case, solution: Solution) -> np.ndarray:
+    height = deflection(solution.states.position, _UP)
+    return np.asarray(height / case.scene.chain.length[0])
+
+
+def _observables(case: Case, solution: Solution) -> dict[str, float]:
+    scene, final = case.scene, solution.final
+    force = jnp.sum(jnp.asarray(applied_load(0.0, final, scene).force), axis=0)
+    gamma = friction_coefficient(solution.ts[-1], final, scene, force)
+    return {
+        "deflection": float(_deflection(case, solution)[-1]),
+        "friction_ratio": float(gamma / _rigid_friction(scene)),
+        "tilt": float(tilt(final.position, _UP) / scene.chain.length[0]),
+    }
+
+
+SETTLING = ReadyMade(
+    "settling",
+    "flexible fibre settling under its weight: steady deflection, friction and tilt",
+    settling,
+    {
+        "beads": "number of beads",
+        "elasto_gravitational": "B = F L^2 / K_b, eq. (55), F the weight of the fibre",
+    },
+    _observables,
+    ("deflection $A/L$", _deflection),
+)
