@@ -25,6 +25,19 @@ def fail(name: str, must: str, but: str) -> None:
     raise ValueError(f"Argument `{name}` must {must}, but {but}.")
 
 
+def described(value: Any) -> str:
+    """What a value of the wrong kind is, in words."""
+    if isinstance(value, type):
+        return f"the class {value.__name__} itself"
+    return f"{value!r}" if isinstance(value, (str, type(None))) else f"a {type(value).__name__}"
+
+
+def kind(name: str, value: Any, wanted: type) -> None:
+    """An instance of the class `wanted`."""
+    if not isinstance(value, wanted):
+        fail(name, f"be a {wanted.__name__} object", f"it is {described(value)}")
+
+
 def finite(name: str, value: Any) -> None:
     """All entries finite."""
     if known(value) and not np.all(np.isfinite(value)):
@@ -45,6 +58,14 @@ def non_negative(name: str, value: Any) -> None:
     finite(name, value)
     if known(value) and not np.all(np.asarray(value) >= 0):
         fail(name, "not be negative", f"its smallest value is {np.min(value):g}")
+
+
+def non_zero(name: str, vectors: Any) -> None:
+    """No vector along the last axis is zero."""
+    zero = np.all(np.asarray(vectors) == 0, axis=-1) if known(vectors) else np.zeros(0, bool)
+    if np.any(zero):
+        where = np.argwhere(zero)[0].tolist()
+        fail(name, "not be zero", f"it is zero{f' at index {where}' if where else ''}")
 
 
 def shape(name: str, value: Any, *allowed: tuple[int, ...]) -> None:

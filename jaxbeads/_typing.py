@@ -12,6 +12,8 @@ def float_array(value: Any) -> jax.Array:
     A Python float as a field would be a compile-time constant: every new value would compile
     again, and it would have no gradient.
     """
+    if isinstance(value, (int, float)):
+        return jnp.asarray(value, dtype=float)  # with a dtype, or its type would be a weak one
     array = jnp.asarray(value)
     return array if jnp.issubdtype(array.dtype, jnp.floating) else array.astype(float)
 

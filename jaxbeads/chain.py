@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._checks import fail, finite, positive, shape, whole
+from ._checks import fail, finite, non_zero, positive, shape, whole
 from ._typing import float_array
 from .geometry import unit
 from .state import State
@@ -34,7 +34,8 @@ class Chain(eqx.Module):
 
     def __init__(self, radius: Any, fibres: int | Sequence[int]) -> None:
         self.radius = float_array(radius)
-        numbers = (fibres,) if isinstance(fibres, (int, np.integer)) else tuple(fibres)
+        several = isinstance(fibres, (Sequence, np.ndarray))
+        numbers = tuple(fibres) if several else (fibres,)
         if not numbers:
             fail("fibres", "name at least one fibre", "it is empty")
         for number in numbers:
@@ -98,7 +99,8 @@ def from_tangents(chain: Chain, tangents: Any, centre: Any = None) -> Float[Arra
     - `centre`: mean position of the beads [length], shape `(dim,)` or one for each fibre,
       `(fibres, dim)`; the origin by default.
 
-    **Returns** positions, shape `(beads, dim)`. **Raises** `ValueError` for shapes that do not fit.
+    **Returns** positions, shape `(beads, dim)`. **Raises** `ValueError` for shapes that do not fit
+    and for a zero tangent.
     """
     tangents = float_array(tangents)
     if (
@@ -110,6 +112,7 @@ def from_tangents(chain: Chain, tangents: Any, centre: Any = None) -> Float[Arra
             "tangents", f"have shape ({chain.beads - 1}, 2 or 3)", f"it has shape {tangents.shape}"
         )
     finite("tangents", tangents)
+    non_zero("tangents", jnp.where(chain.bond_mask[:, None], tangents, 1.0))
     dim = tangents.shape[1]
     centre = jnp.zeros(dim) if centre is None else float_array(centre)
     shape("centre", centre, (dim,), (len(chain.fibres), dim))
@@ -141,6 +144,6 @@ def straight(chain: Chain, direction: Any, centre: Any = None) -> State:
     fibres = len(chain.fibres)
     shape("direction", direction, (2,), (3,), (fibres, 2), (fibres, 3))
     finite("direction", direction)
-    positive("direction (its length)", jnp.linalg.norm(direction, axis=-1))
+    non_zero("direction", direction)
     each = jnp.broadcast_to(direction, (fibres, direction.shape[-1]))[chain.fibre_of_bead[:-1]]
     return State(from_tangents(chain, each, centre))

@@ -7,6 +7,7 @@ Solves, for one instant, the saddle-point system of Delmotte, Climent & Plourabo
 from collections.abc import Callable
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
@@ -107,11 +108,12 @@ def _matrix(t: Time, state: State, scene: Scene, operator: MobilityOperator) -> 
     known = 0 if block is None else block.shape[0]
     units = jnp.eye(rows - known, rows, known, dtype=j.offset.dtype)
     rest = jax.vmap(lambda unit: j.compliance(operator, unit))(units)
+    # Rows that read no motion (as those of a chain constraint between two fibres) stay regular.
+    empty = jnp.diagonal(rest, known) == 0
+    rest = jnp.where(empty[:, None], units, rest)
     if block is None:
         return rest
-    return (
-        jnp.concatenate([jnp.pad(block, ((0, 0), (0, rows - known))), rest]) if len(rest) else block
-    )
+    return jnp.concatenate([jnp.pad(block, ((0, 0), (0, rows - known))), rest]) if len(rest) else block
 
 
 def evaluate(t: Time, state: State, scene: Scene) -> Evaluation:
@@ -123,6 +125,11 @@ def evaluate(t: Time, state: State, scene: Scene) -> Evaluation:
     **Arguments**: time; `State`; `Scene`. **Returns** an `Evaluation`; its numbers are NaN if S is
     not positive definite (redundant constraints).
     """
+    return _evaluate(jnp.asarray(t), state, scene)
+
+
+@eqx.filter_jit
+def _evaluate(t: Time, state: State, scene: Scene) -> Evaluation:
     position, chain = state.position, scene.chain
     operator = scene.mobility.operator(position, chain.radius, scene.viscosity, scene.rotational)
     free = _free_motion(t, state, scene, operator)
@@ -159,6 +166,11 @@ def constraint_load(t: Time, state: State, scene: Scene) -> Load:
 
 def constraint_matrix(t: Time, state: State, scene: Scene) -> Float[Array, "rows rows"]:
     """S = J M J^T in full (only needed to look at it: condition, rank)."""
+    return _full_matrix(jnp.asarray(t), state, scene)
+
+
+@eqx.filter_jit
+def _full_matrix(t: Time, state: State, scene: Scene) -> Array:
     operator = scene.mobility.operator(
         state.position, scene.chain.radius, scene.viscosity, scene.rotational
     )

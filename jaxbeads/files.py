@@ -5,6 +5,9 @@ Layout: `t` (times), `position` (times, beads, dim), `director` where there is o
 group `checkpoint` (all that the next step depends on). Attributes: `format`, `versions`, `model`.
 """
 
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +23,7 @@ from .solver.stepping import Carry
 from .state import State
 
 FORMAT = 1
+_COLUMNS = ("t", "position", "residual", "bond_length_error")
 
 
 def _leaves(tree: Any) -> list[np.ndarray]:
@@ -34,6 +38,25 @@ def _model(scene: Scene, stepper: Stepper) -> str:
 
 class DamagedFile(ValueError):
     """A file that cannot be continued, with the reason in one sentence."""
+
+
+def _reason(error: OSError) -> str:
+    """What HDF5 says, without the addresses and flags that it adds."""
+    if error.errno:
+        return os.strerror(error.errno)
+    return str(error).partition("(")[2].partition(":")[0].rstrip(")") or str(error)
+
+
+@contextmanager
+def _readable(path: str | Path) -> Iterator[None]:
+    """Refuse contents that are missing or cannot be read."""
+    try:
+        yield
+    except (KeyError, OSError) as error:
+        reason = _reason(error) if isinstance(error, OSError) else "a part of it is missing"
+        raise DamagedFile(
+            f"Argument `file` must be whole, but {path} is damaged: {reason}."
+        ) from None
 
 
 class TrajectoryFile:
@@ -58,7 +81,8 @@ class TrajectoryFile:
             handle = h5py.File(path, "w")
         except OSError as error:
             raise ValueError(
-                f"Argument `file` must be a path that can be written, but {path} is not: {error}."
+                f"Argument `file` must be a path that can be written, but {path} is not: "
+                f"{_reason(error)}."
             ) from None
         handle.attrs["format"] = FORMAT
         handle.attrs["model"] = _model(scene, stepper)
@@ -110,9 +134,10 @@ def _open(path: str | Path, mode: str) -> h5py.File:
         handle = h5py.File(path, mode)
     except OSError as error:
         raise DamagedFile(
-            f"Argument `file` must be a trajectory file, but {path} cannot be read: {error}."
+            f"Argument `file` must be a trajectory file, but {path} cannot be read: "
+            f"{_reason(error)}."
         ) from None
-    missing = {"t", "position", "ts"} - set(handle)
+    missing = {"ts", *_COLUMNS} - set(handle)
     if missing or handle.attrs.get("format") != FORMAT:
         handle.close()
         raise DamagedFile(
@@ -127,7 +152,7 @@ def load(path: str | Path) -> Solution:
 
     **Raises** `ValueError` (`DamagedFile`) if it is not there or not readable.
     """
-    with _open(path, "r") as handle:
+    with _readable(path), _open(path, "r") as handle:
 
         def column(name: str) -> jax.Array | None:
             return jnp.asarray(np.asarray(handle[name])) if name in handle else None
@@ -150,7 +175,7 @@ def load(path: str | Path) -> Solution:
 
 def planned_times(path: str | Path) -> jax.Array:
     """All times of a run, those done and those to come."""
-    with _open(path, "r") as handle:
+    with _readable(path), _open(path, "r") as handle:
         return jnp.asarray(np.asarray(handle["ts"]))
 
 
@@ -175,10 +200,11 @@ def reopen(
         if handle.attrs.get("model") != _model(scene, stepper):
             must = "the scene and solver with which the file was written"
             raise ValueError(f"Argument `scene` must be {must}, but its terms differ.")
-        _restore(handle, "scene", (scene, stepper), path, same=True)
-        carry = _restore(handle, "checkpoint", carry, path, same=False)
-        ts, done = np.asarray(handle["ts"]), np.asarray(handle["t"])
-        lengths = {len(np.asarray(handle[k])) for k in ("t", "position", "bond_length_error")}
+        with _readable(path):
+            _restore(handle, "scene", (scene, stepper), path, same=True)
+            carry = _restore(handle, "checkpoint", carry, path, same=False)
+            ts, done = np.asarray(handle["ts"]), np.asarray(handle["t"])
+            lengths = {len(np.asarray(handle[name])) for name in _COLUMNS}
         if len(lengths) != 1 or not np.array_equal(done, ts[: len(done)]) or len(done) == 0:
             raise DamagedFile(
                 f"Argument `file` must hold whole states at its planned times, but {path} does not."

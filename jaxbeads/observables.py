@@ -46,7 +46,7 @@ def curvature(position: Float[Array, "*times beads dim"], chain: Chain) -> Array
     sine = cross(e[..., :-1, :], e[..., 1:, :])
     sine = sine[..., 0] if position.shape[-1] == 2 else norm(sine)
     length = 0.5 * (chain.bond_length[1:] + chain.bond_length[:-1])
-    return sine / length * chain.joint_mask
+    return sine * jnp.broadcast_to(chain.joint_mask / length, sine.shape)
 
 
 def minimal_radius_of_curvature(
@@ -109,7 +109,9 @@ def bond_length_error(
     position: Float[Array, "*times beads dim"], chain: Chain
 ) -> Float[Array, "*times bonds"]:
     """Relative error of each bond length; zero between fibres."""
-    return (norm(bonds(position)) / chain.bond_length - 1) * chain.bond_mask
+    length = norm(bonds(position))
+    error = length / jnp.broadcast_to(chain.bond_length, length.shape) - 1
+    return error * jnp.broadcast_to(chain.bond_mask, length.shape)
 
 
 def settling_velocity(t: Time, state: State, scene: Scene) -> Float[Array, " dim"]:

@@ -1,21 +1,27 @@
 """`Scene`: the model, all parameters and terms; `check`: whether a state fits it."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
+from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from ._checks import fail, finite, positive, shape
+from ._checks import described, fail, finite, kind, positive, shape
 from ._typing import float_array
 from .chain import Chain
-from .constraint import AbstractConstraint
+from .constraint import AbstractConstraint, FrozenJoints
 from .flow import AbstractFlow, LinearFlow
-from .force import AbstractForce, Bending, Weight
+from .force import AbstractForce, Bending, BendingEnergy, Weight
 from .mobility import RPY, AbstractMobility
 from .state import State
+
+
+def _terms(terms: Any) -> Any:
+    return tuple(terms) if isinstance(terms, Iterable) else terms  # else refused below, by name
 
 
 class Scene(eqx.Module):
@@ -37,26 +43,32 @@ class Scene(eqx.Module):
     chain: Chain
     viscosity: Float[Array, ""] = eqx.field(converter=float_array)
     mobility: AbstractMobility = RPY()
-    constraints: tuple[AbstractConstraint, ...] = eqx.field(converter=tuple, default=())
-    forces: tuple[AbstractForce, ...] = eqx.field(converter=tuple, default=())
+    constraints: tuple[AbstractConstraint, ...] = eqx.field(converter=_terms, default=())
+    forces: tuple[AbstractForce, ...] = eqx.field(converter=_terms, default=())
     flow: AbstractFlow | None = None
 
     def __check_init__(self) -> None:
         shape("viscosity", self.viscosity, ())
         positive("viscosity", self.viscosity)
-        kinds: Sequence[tuple[str, tuple, type]] = (
-            ("constraints", self.constraints, AbstractConstraint),
-            ("forces", self.forces, AbstractForce),
-        )
-        for name, terms, kind in kinds:
-            for term in terms:
-                if not isinstance(term, kind):
-                    fail(name, f"hold {kind.__name__} objects", f"it holds a {type(term).__name__}")
+        kind("chain", self.chain, Chain)
+        kind("mobility", self.mobility, AbstractMobility)
+        if self.flow is not None:
+            kind("flow", self.flow, AbstractFlow)
+        _check_kinds("constraints", self.constraints, AbstractConstraint)
+        _check_kinds("forces", self.forces, AbstractForce)
 
     @property
     def rotational(self) -> bool:
         """Whether spins and torques take part, which any one term may ask for."""
         return any(term.rotational for term in (*self.constraints, *self.forces))
+
+
+def _check_kinds(name: str, terms: Any, wanted: type) -> None:
+    if not isinstance(terms, tuple):
+        fail(name, f"be a list of {wanted.__name__} objects", f"it is {described(terms)}")
+    for term in terms:
+        if not isinstance(term, wanted):
+            fail(name, f"hold {wanted.__name__} objects", f"it holds {described(term)}")
 
 
 def check(
@@ -82,6 +94,11 @@ def check(
     if beads != chain.beads:
         fail("state", f"hold the chain's {chain.beads} beads", f"it holds {beads}")
     finite("state.position", position)
+    if state.director is not None and not scene.rotational:
+        fail("state", "hold no directors", "no term of the scene turns beads")
+    for leaf in jax.tree.leaves(scene):
+        if position.dtype == jnp.float32 and getattr(leaf, "dtype", None) == jnp.float64:
+            fail("scene", "be in float32 as the state is", "it holds numbers in float64")
     _check_terms(scene, dim)
     tracers = any(isinstance(x, Tracer) for x in (position, chain.radius))
     if not overlap and not tracers:
@@ -99,14 +116,16 @@ def _check_terms(scene: Scene, dim: int) -> None:
     for term in scene.forces:
         if isinstance(term, Weight):
             shape("Weight.force", term.force, (dim,), (beads, dim))
-        if isinstance(term, Bending):
-            shape("Bending.rigidity", term.rigidity, (), (joints,))
-            vectors = ((joints, 3),) if dim == 3 else ()
-            curvature = term.intrinsic_curvature
-            shape("Bending.intrinsic_curvature", curvature, (), (joints,), *vectors)
+        if isinstance(term, (Bending, BendingEnergy)):
+            name, curvature = type(term).__name__, term.intrinsic_curvature
+            shape(f"{name}.rigidity", term.rigidity, (), (joints,))
+            vectors = ((joints, 3),) if dim == 3 and isinstance(term, Bending) else ()
+            shape(f"{name}.intrinsic_curvature", curvature, (), (joints,), *vectors)
+    if dim != 2 and any(isinstance(term, FrozenJoints) for term in scene.constraints):
+        fail("state", "be planar for FrozenJoints", "it is three-dimensional")
     if isinstance(scene.flow, LinearFlow):
         shape("LinearFlow.matrix", scene.flow.matrix, (dim, dim))
         if dim == 3:
-            trace = jnp.trace(scene.flow.matrix)
-            if not isinstance(trace, Tracer) and abs(trace) > 1e-9:
+            trace, size = jnp.trace(scene.flow.matrix), jnp.max(jnp.abs(scene.flow.matrix))
+            if not isinstance(trace, Tracer) and abs(trace) > 1e-6 * size:
                 fail("LinearFlow.matrix", "have no trace (incompressible)", f"it is {trace:g}")

@@ -21,7 +21,8 @@ class State(eqx.Module):
     - `director`: unit vectors fixed to the beads, shape `(beads, dim)`, or `None` where no term of
       the scene needs orientations.
 
-    **Raises** `ValueError` for a position that is not finite or not of shape `(beads, 2 or 3)`.
+    **Raises** `ValueError` for a position that is not of shape `(beads, 2 or 3)`, another shape of the
+    directors, and numbers that are not finite.
     """
 
     position: Float[Array, "beads dim"] = eqx.field(converter=float_array)
@@ -34,8 +35,11 @@ class State(eqx.Module):
         if len(shape) != 2 or shape[1] not in (2, 3) or shape[0] < 1:
             fail("position", "have shape (beads, 2) or (beads, 3)", f"it has shape {shape}")
         finite("position", self.position)
-        if self.director is not None and self.director.shape != shape:
-            fail("director", f"have the position's shape {shape}", f"it has {self.director.shape}")
+        if self.director is not None:
+            other = self.director.shape
+            if other != shape:
+                fail("director", f"have the position's shape {shape}", f"it has {other}")
+            finite("director", self.director)
 
 
 class Motion(eqx.Module):

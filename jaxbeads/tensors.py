@@ -268,7 +268,8 @@ def shear_disturbance(
     c1, c2, cr = _strain_equal(s, radius) if radius.ndim == 0 else _strain_unequal(s, radius)
     dim, d = position.shape[1], s.vector
     # One tensor: numbers; one for each bead: rows along j.
-    e = [[strain_rate[..., i, j] for j in range(dim)] for i in range(dim)]
+    rows = strain_rate if strain_rate.ndim == 2 else strain_rate[None]
+    e = [[rows[..., i, j] for j in range(dim)] for i in range(dim)]
     ed = [sum(e[i][j] * d[j] for j in range(dim)) for i in range(dim)]
     ded = c2 * sum(d[i] * ed[i] for i in range(dim))
     ones = jnp.ones(position.shape[0], position.dtype)  # a product with ones sums faster than `sum`

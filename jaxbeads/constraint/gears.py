@@ -36,13 +36,12 @@ class Gears(AbstractChainConstraint):
         if motion.spin is None:
             raise ValueError("Argument `motion` must hold spins for Gears, but it holds none.")
         v, w, e = motion.velocity.T, motion.spin.T, tangents(state.position).T
-        dim, a = e.shape[0], chain.radii
-        surface = a * w
+        dim, surface = e.shape[0], chain.radii[None, :] * w
         rows = list(v[:, :-1] - v[:, 1:])
         for i, j, k, sign in CROSS[dim]:  # w x e = -(e x w)
             rows[i] = rows[i] - sign * e[j] * (surface[k, :-1] + surface[k, 1:])
         slip = jnp.stack(rows)
-        return slip if chain.bond_mask.all() else slip * chain.bond_mask
+        return slip if chain.bond_mask.all() else slip * chain.bond_mask[None, :]
 
     def assemble(
         self, t: Float[Array, ""], state: State, tensor: PairTensor, chain: Chain

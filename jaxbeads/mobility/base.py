@@ -1,7 +1,7 @@
 """What a mobility is."""
 
 import abc
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import equinox as eqx
 from jaxtyping import Array, Float
@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 from ..state import Load, Motion
 
 
+@runtime_checkable
 class MobilityOperator(Protocol):
     """The mobility M of one configuration, applied to loads.
 

@@ -1,0 +1,83 @@
+"""One list for each kind of thing: a new member is one entry here and then meets every contract."""
+
+import diffrax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbeads import AB3, Chain, Scene, State, from_tangents
+from jaxbeads.constraint import FrozenJoints, Gears
+from jaxbeads.flow import Extension, LinearFlow, OscillatingShear, Poiseuille, Shear, VelocityField
+from jaxbeads.force import (
+    Bending,
+    BendingEnergy,
+    ForceField,
+    Potential,
+    SineRuleCurvature,
+    Weight,
+)
+from jaxbeads.mobility import RPY, FreeDraining
+
+MOBILITIES = [FreeDraining(), RPY()]
+
+CONSTRAINTS = [Gears(), FrozenJoints()]
+
+FLOWS = [
+    Shear(0.7),
+    OscillatingShear(0.7, 2.0, 0.3),
+    Extension(0.4),
+    LinearFlow([[0.1, 0.5], [-0.2, -0.1]]),
+    Poiseuille(1.3, 8.0),
+    VelocityField(lambda t, x: jnp.sin(0.1 * x[::-1] + t)),
+]
+
+# Each acts on a planar chain of any number of beads.
+FORCES = [
+    Weight([0.1, -0.4]),
+    Bending(30.0, 0.02),
+    Bending(30.0, 0.02, SineRuleCurvature()),
+    BendingEnergy(30.0, 0.02),
+    BendingEnergy(30.0, 0.02, SineRuleCurvature()),
+    ForceField(lambda t, x: -0.1 * x),
+    Potential(lambda t, x: 0.05 * jnp.sum(x**2) * (1 + t)),
+]
+
+# Solver, order; all with constant steps.
+SOLVERS = [
+    (AB3(), 3),
+    (diffrax.Euler(), 1),
+    (diffrax.Heun(), 2),
+    (diffrax.Tsit5(), 5),
+]
+
+
+def name(case):
+    """A readable test id."""
+    case = case[0] if isinstance(case, tuple) else case
+    law = f"-{type(case.law).__name__}" if hasattr(case, "law") else ""
+    return type(case).__name__ + law
+
+
+def bent(chain: Chain, dim: int = 2, seed: int = 0, centre=None) -> State:
+    """A smoothly and irregularly bent chain of touching beads."""
+    rng = np.random.default_rng(seed)
+    s = np.linspace(0, 1, chain.beads - 1)
+    waves = [rng.normal() * np.sin((k + 1) * np.pi * s + rng.uniform(0, 6)) for k in range(3)]
+    angle = 0.6 * sum(waves)
+    e = [np.cos(angle), np.sin(angle)]
+    if dim == 3:
+        rise = 0.5 * np.sin(2 * np.pi * s + rng.uniform(0, 6))
+        e = [e[0] * np.cos(rise), e[1] * np.cos(rise), np.sin(rise)]
+    return State(from_tangents(chain, np.stack(e, axis=1), centre))
+
+
+def scene(chain: Chain, dim: int = 2, flow=True, **options) -> Scene:
+    """Gears fibre(s) with weight, bending and shear."""
+    weight = np.array([0.1, -0.4, 0.2])[:dim]
+    options.setdefault("forces", [Weight(weight), Bending(30.0)])
+    options.setdefault("constraints", [Gears()])
+    return Scene(chain, 1.3, flow=Shear(0.3) if flow else None, **options)
+
+
+def spatial(state: State) -> State:
+    """A planar state in three dimensions."""
+    return State(jnp.pad(state.position, ((0, 0), (0, 1))))

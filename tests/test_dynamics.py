@@ -1,0 +1,361 @@
+"""Constraints and loads at one instant: against dense linear algebra and conservation laws."""
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import CONSTRAINTS, FLOWS, FORCES, MOBILITIES, bent, name, scene, spatial
+
+from jaxbeads import Chain, Load, Motion, Scene, State, dynamics, from_tangents, straight
+from jaxbeads.constraint import AbstractConstraint, FrozenJoints, Gears
+from jaxbeads.flow import Shear
+from jaxbeads.force import Bending, BendingEnergy, ForceField, SineRuleCurvature, Weight
+from jaxbeads.mobility import RPY, AbstractMobility
+from jaxbeads.state import zero_motion
+from jaxbeads.tensors import PairTensor
+
+
+def flat(motion):
+    return np.concatenate([np.ravel(x) for x in jax.tree.leaves(motion)])
+
+
+def dense_motion(t, state, scene):
+    """Independent route: the whole saddle-point system (M^-1, J^T; J, 0) by dense elimination."""
+    beads, dim = state.position.shape
+    rest = zero_motion(state, scene.rotational)
+    sizes = [np.size(x) for x in jax.tree.leaves(rest)]
+
+    def unflat(vector):
+        parts = jnp.split(jnp.asarray(vector), np.cumsum(sizes)[:-1])
+        return [p.reshape(beads, -1) for p in parts]
+
+    operator = scene.mobility.operator(
+        state.position, scene.chain.radius, scene.viscosity, scene.rotational
+    )
+    mobility = np.stack(
+        [flat(operator.motion(Load(*unflat(unit)))) for unit in np.eye(sum(sizes))], axis=1
+    )
+
+    def slip(vector):
+        return np.concatenate(
+            [
+                np.ravel(c.slip(jnp.asarray(t), state, Motion(*unflat(vector)), scene.chain))
+                for c in scene.constraints
+            ]
+        )
+
+    offset = slip(np.zeros(sum(sizes)))
+    jacobian = np.stack([slip(unit) - offset for unit in np.eye(sum(sizes))], axis=1)
+    live = np.abs(jacobian).max(axis=1) > 0  # rows between two fibres say nothing
+    jacobian, offset = jacobian[live], offset[live]
+    load = dynamics.applied_load(t, state, scene)
+    ambient = dynamics.ambient_motion(t, state, scene)
+    blank = [np.zeros((beads, dim)), np.zeros_like(rest.spin) if rest.spin is not None else None]
+    parts = [load.force, load.torque]
+    applied = [b if p is None else p for p, b in zip(parts, blank, strict=True) if b is not None]
+    free = flat(ambient) if ambient is not None else np.zeros(sum(sizes))
+    resistance, rows = np.linalg.inv(mobility), len(jacobian)
+    system = np.block([[resistance, -jacobian.T], [jacobian, np.zeros((rows, rows))]])
+    right = np.concatenate(
+        [np.concatenate([np.ravel(a) for a in applied]) + resistance @ free, -offset]
+    )
+    return np.linalg.solve(system, right)[: sum(sizes)]
+
+
+RADII = [1.0, np.linspace(0.7, 1.2, 9)]
+FIBRES = [9, (4, 5), (2, 1, 3, 3)]
+
+
+@pytest.mark.parametrize("fibres", FIBRES, ids=str)
+@pytest.mark.parametrize("radius", RADII, ids=["equal", "unequal"])
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("mobility", MOBILITIES, ids=name)
+def test_matches_the_dense_saddle_point_system(mobility, dim, radius, fibres):
+    chain = Chain(radius, fibres)
+    centre = 6.0 * np.arange(len(chain.fibres))[:, None] * np.eye(dim)[1]
+    state = bent(chain, dim, centre=centre)
+    model = scene(chain, dim, mobility=mobility)
+    moved = flat(jax.jit(dynamics.motion)(0.3, state, model))
+    reference = dense_motion(0.3, state, model)
+    assert np.abs(moved - reference).max() < 1e-12 * np.abs(reference).max()
+
+
+PAIRS = [(force, FLOWS[0]) for force in FORCES] + [(FORCES[0], flow) for flow in FLOWS[1:]]
+
+
+@pytest.mark.parametrize("force, flow", PAIRS, ids=name)
+def test_every_force_and_flow_in_plane_and_space(force, flow):
+    # Gate of planar scenes: the same as in space, to rounding.
+    chain = Chain(1.0, 7)
+    state = bent(chain, seed=2)
+    solid = force
+    if isinstance(force, Weight):
+        solid = Weight(jnp.pad(force.force, (0, 1)))
+    if isinstance(force, Bending):
+        vectors = jnp.full((5, 3), force.intrinsic_curvature) * np.array([[0.0, 0.0, 1.0]])
+        solid = Bending(force.rigidity, vectors, force.law)
+    if isinstance(force, BendingEnergy):  # in space it knows no signed curvature
+        force = solid = BendingEnergy(force.rigidity, 0.0, force.law)
+    model = Scene(chain, 0.8, constraints=[Gears()], forces=[force], flow=flow)
+    if type(flow).__name__ == "LinearFlow":
+        deep = type(flow)(jnp.pad(flow.matrix, ((0, 1), (0, 1))))
+    elif type(flow).__name__ == "VelocityField":  # one that stays in the plane
+        deep = type(flow)(lambda t, x: jnp.append(jnp.sin(0.1 * x[:2][::-1] + t), 0.0))
+    else:
+        deep = flow
+    whole = Scene(chain, 0.8, constraints=[Gears()], forces=[solid], flow=deep)
+    plane = dynamics.motion(0.2, state, model)
+    space = dynamics.motion(0.2, spatial(state), whole)
+    scale = np.abs(plane.velocity).max()
+    assert np.abs(plane.velocity - space.velocity[:, :2]).max() < 1e-13 * scale
+    assert np.abs(plane.spin - space.spin[:, 2:]).max() < 1e-13 * np.abs(plane.spin).max()
+    assert np.abs(space.velocity[:, 2]).max() < 1e-14 * scale
+    assert float(dynamics.constraint_residual(0.2, state, model)) < 1e-14
+
+
+@pytest.mark.parametrize("fibres", [8, (3, 5)], ids=str)
+@pytest.mark.parametrize("dim", [2, 3])
+def test_direct_assembly_equals_assembly_by_columns(dim, fibres):
+    # S built from slices of M against S built by applying M to unit multipliers.
+    chain = Chain(np.linspace(0.8, 1.1, 8), fibres)
+    state = bent(chain, dim)
+    model = scene(chain, dim)
+    operator = RPY().operator(state.position, chain.radius, model.viscosity, True)
+    parts = dynamics._constraints(0.0, state, model)
+    rows = dim * 7
+    columns = np.stack([parts.compliance(operator, jnp.asarray(u)) for u in np.eye(rows)], axis=1)
+    direct = np.asarray(dynamics.constraint_matrix(0.0, state, model))
+    live = np.tile(chain.bond_mask, dim)
+    assert np.abs((direct - columns)[np.ix_(live, live)]).max() < 1e-15
+    assert np.all(direct[np.ix_(live, ~live)] == 0)
+    # The condition number of a free straight planar chain is known (5.6 at N = 5).
+    model = Scene(Chain(1.0, 5), 1.0, constraints=[Gears()])
+    values = np.linalg.eigvalsh(
+        dynamics.constraint_matrix(0.0, straight(model.chain, [1.0, 0.0]), model)
+    )
+    assert abs(values[-1] / values[0] - 5.6) < 0.1
+
+
+@pytest.mark.parametrize("law", [None, SineRuleCurvature()], ids=["(34)", "(33)"])
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("radius", RADII, ids=["equal", "unequal"])
+def test_bending_torques_and_energy_move_beads_alike(radius, dim, law):
+    # Virtual work: proof of the factor 1/2 that eq. (32) lacks, and of its form for unequal radii.
+    chain = Chain(radius, 9)
+    state = bent(chain, dim)
+    options = {} if law is None else {"law": law}
+    rigidity = np.linspace(10, 40, 7)
+    curvature = np.linspace(-0.1, 0.2, 7) if dim == 2 else 0.05
+    torques = Scene(
+        chain, 1.0, constraints=[Gears()], forces=[Bending(rigidity, curvature, **options)]
+    )
+    energy = Scene(
+        chain, 1.0, constraints=[Gears()], forces=[BendingEnergy(rigidity, curvature, **options)]
+    )
+    a, b = (np.asarray(dynamics.motion(0.0, state, s).velocity) for s in (torques, energy))
+    assert np.abs(a - b).max() < 2e-12 * np.abs(a).max()
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_constraint_and_internal_loads_balance(dim):
+    # Gate T4: a free body's internal forces and torques sum to zero, 1e-12 of the largest.
+    chain = Chain(1.0, (4, 6))
+    state = bent(chain, dim, centre=[[0.0] * dim, [7.0] * dim])
+    model = scene(chain, dim)
+    bending = Bending(30.0).load(jnp.zeros(()), state, chain)
+    assert np.abs(np.sum(bending.torque, axis=0)).max() < 1e-12 * np.abs(bending.torque).max()
+    for load in (
+        dynamics.constraint_load(0.0, state, model),
+        BendingEnergy(30.0).load(jnp.zeros(()), state, chain),
+    ):
+        force = np.asarray(load.force)
+        assert np.abs(force.sum(0)).max() < 1e-12 * np.abs(force).max()
+        arm = np.asarray(state.position)
+        arm, push = (np.pad(x, ((0, 0), (0, 3 - dim))) for x in (arm, force))
+        total = np.cross(arm, push).sum(0)
+        if load.torque is not None:
+            torque = np.asarray(load.torque).sum(0)
+            total = total[2:] + torque if dim == 2 else total + torque
+        assert np.abs(total).max() < 1e-12 * np.abs(np.cross(arm, push)).max()
+
+
+class Driven(AbstractConstraint):
+    """A user's constraint: the first bead's velocity and the second's spin follow a law of time."""
+
+    rotational: ClassVar[bool] = True
+    speed: jax.Array
+
+    def slip(self, t, state, motion, chain):
+        velocity = motion.velocity[0] - self.speed * jnp.sin(t)
+        return jnp.concatenate([velocity, motion.spin[1] - jnp.cos(t)])
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_users_affine_constraint(dim):
+    chain = Chain(1.0, 7)
+    state = bent(chain, dim)
+    model = scene(chain, dim, constraints=[Gears(), Driven(jnp.arange(1.0, dim + 1))])
+    moved = dynamics.motion(0.4, state, model)
+    assert np.abs(moved.velocity[0] - np.sin(0.4) * np.arange(1, dim + 1)).max() < 1e-13
+    assert np.abs(moved.spin[1] - np.cos(0.4)).max() < 1e-13
+    reference = dense_motion(0.4, state, model)
+    assert np.abs(flat(moved) - reference).max() < 1e-11 * np.abs(reference).max()
+    swapped = scene(chain, dim, constraints=[Driven(jnp.arange(1.0, dim + 1)), Gears()])
+    assert np.abs(flat(dynamics.motion(0.4, state, swapped)) - flat(moved)).max() < 1e-12
+
+
+class Hidden(eqx.Module):
+    """A mobility of which only the product with loads is known."""
+
+    inner: PairTensor
+
+    def motion(self, load):
+        return self.inner.motion(load)
+
+
+class Slow(AbstractMobility):
+    """A user's mobility: RPY at half speed, known only as an operator."""
+
+    def operator(self, position, radius, viscosity, rotational):
+        return Hidden(RPY().operator(position, radius, 2 * viscosity, rotational))
+
+    def shear_disturbance(self, position, radius, strain_rate, rotational):
+        return RPY().shear_disturbance(position, radius, strain_rate, rotational)
+
+
+def test_a_users_mobility_without_pair_tensor():
+    chain = Chain(1.0, (4, 5))
+    state = bent(chain, centre=[[0.0, 0.0], [3.0, 5.0]])
+    ours = scene(chain, flow=False, mobility=Slow(), constraints=[Gears()])
+    direct = scene(chain, flow=False, constraints=[Gears()])
+    slow, fast = (dynamics.motion(0.0, state, s) for s in (ours, direct))
+    assert np.abs(2 * slow.velocity - fast.velocity).max() < 1e-13 * np.abs(fast.velocity).max()
+
+
+@pytest.mark.parametrize("constraint", CONSTRAINTS, ids=name)
+def test_constraints_hold(constraint):
+    chain = Chain(1.0, (5, 4))
+    state = bent(chain, centre=[[0.0, 0.0], [0.0, 6.0]])
+    model = scene(chain, constraints=[constraint])
+    assert float(dynamics.constraint_residual(0.0, state, model)) < 1e-13
+
+
+def test_fibres_far_apart_do_not_feel_one_another():
+    one, two = Chain(1.0, 5), Chain(1.0, (5, 5))
+    single = bent(one)
+    pair = State(jnp.concatenate([single.position, single.position + np.array([[0.0, 1e7]])]))
+    a = dynamics.motion(0.0, single, scene(one, flow=False)).velocity
+    b = dynamics.motion(0.0, pair, scene(two, flow=False)).velocity
+    assert np.abs(b[:5] - a).max() < 1e-6 * np.abs(a).max()
+    near = State(jnp.concatenate([single.position, single.position + np.array([[0.0, 9.0]])]))
+    c = dynamics.motion(0.0, near, scene(two, flow=False)).velocity
+    assert np.abs(c[:5] - a).max() > 1e-2 * np.abs(a).max()
+
+
+def test_single_beads_and_pairs_run():
+    for fibres in (1, 2, (1, 1)):
+        chain = Chain(1.0, fibres)
+        state = State(3.0 * jnp.stack([jnp.arange(chain.beads), jnp.zeros(chain.beads)], axis=1))
+        if fibres == 2:
+            state = straight(chain, [1.0, 0.0])
+        constraints = [Gears()] if chain.beads > 1 else []
+        model = Scene(
+            chain, 1.0, constraints=constraints, forces=[Weight([0.0, -1.0]), Bending(1.0)]
+        )
+        assert np.all(np.isfinite(dynamics.motion(0.0, state, model).velocity))
+
+
+def singular(shape, dim):
+    """Chains at the places where careless derivatives are NaN."""
+    if shape == "crossed":  # two fibres; their middle beads coincide
+        chain = Chain(1.0, (3, 3))
+        return chain, straight(chain, np.eye(dim)[[0, 1]])
+    chain = Chain(1.0, 6)
+    if shape == "bent":
+        return chain, bent(chain, dim)
+    turn = np.where(np.arange(5) > 2, 0.95 * np.pi if shape == "folded" else 0.0, 0.0)
+    e = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    return chain, State(from_tangents(chain, np.pad(e, ((0, 0), (0, dim - 2)))))
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("shape", ["bent", "straight", "folded", "crossed"])
+def test_derivatives_of_the_motion(shape, dim):
+    # With respect to every parameter and position, in both modes.
+    chain, state = singular(shape, dim)
+    model = scene(chain, dim)
+    weight = jnp.asarray(np.random.default_rng(0).normal(size=(6, dim)))
+
+    def value(state, model):
+        return jnp.sum(weight * dynamics.motion(0.1, state, model).velocity)
+
+    reverse = jax.jit(jax.grad(value, argnums=(0, 1)))(state, model)
+    flat_reverse = np.concatenate([np.ravel(x) for x in jax.tree.leaves(reverse)])
+    assert np.all(np.isfinite(flat_reverse))
+    leaves, tree = jax.tree.flatten((state, model))
+    rng = np.random.default_rng(1)
+    direction = [jnp.asarray(rng.normal(size=np.shape(x))) for x in leaves]
+    if dim == 3:  # its direction is that of the binormal, which a straight joint does not have
+        at = next(i for i, x in enumerate(leaves) if x is model.forces[1].intrinsic_curvature)
+        direction[at] = jnp.zeros(())
+    along = jax.tree.unflatten(tree, direction)
+    forward = jax.jit(lambda x, d: jax.jvp(value, x, d)[1])((state, model), along)
+    dot = sum(
+        float(jnp.sum(a * b)) for a, b in zip(direction, jax.tree.leaves(reverse), strict=True)
+    )
+    assert abs(forward - dot) < 1e-10 * abs(dot)
+    if shape != "crossed":  # there the mobility has a kink
+        # Touching beads sit where second derivatives jump: the error is of first order in h.
+        h, value = 2e-7, jax.jit(value)
+
+        def at(step):
+            moved = [x + step * d for x, d in zip(leaves, direction, strict=True)]
+            return float(value(*jax.tree.unflatten(tree, moved)))
+
+        assert abs((at(h) - at(-h)) / (2 * h) - dot) < 1e-6 * abs(dot)
+
+
+def test_a_scene_pays_only_for_what_it_models():
+    chain = Chain(1.0, 8)
+
+    def size(function, *arguments):
+        return jax.jit(function).lower(*arguments).as_text().count("\n")
+
+    state, solid = bent(chain), bent(chain, 3)
+    bare = scene(chain, flow=False)
+
+    def by_hand(state, radius, viscosity, weight, rigidity, curvature):
+        operator, t = RPY().operator(state.position, radius, viscosity, True), jnp.zeros(())
+        held = Scene(Chain(radius, 8), viscosity, constraints=[Gears()])
+        weight, bending = Weight(weight), Bending(rigidity, curvature)
+        torque = bending.load(t, state, held.chain).torque
+        load = Load(weight.load(t, state, held.chain).force, torque)
+        free = operator.motion(load)
+        parts = dynamics._constraints(0.0, state, held)
+        matrix = Gears().assemble(t, state, operator, held.chain)
+        factor = jax.lax.linalg.cholesky(matrix, symmetrize_input=False)
+        lam = jax.scipy.linalg.cho_solve((factor, True), -parts.slip(free))
+        push = operator.motion(parts.pull(lam))
+        return free.velocity + push.velocity, free.spin + push.spin
+
+    b, w = bare.forces[1], bare.forces[0]
+    hand = size(
+        by_hand, state, chain.radius, bare.viscosity, w.force, b.rigidity, b.intrinsic_curvature
+    )
+    ours = size(dynamics.motion, 0.0, state, bare)
+    assert ours <= hand + 40  # the linear solve's own wrapper; a flow adds hundreds
+    assert size(dynamics.motion, 0.0, state, scene(chain)) > ours + 100
+    assert size(dynamics.motion, 0.0, solid, scene(chain, 3, flow=False)) > 1.5 * ours
+
+    def spinless(state):
+        potential = BendingEnergy(30.0)
+        return dynamics.motion(0.0, state, Scene(chain, 1.0, forces=[potential])).velocity
+
+    assert "cholesky" not in jax.jit(spinless).lower(state).as_text()
+    assert not Scene(
+        chain, 1.0, forces=[BendingEnergy(30.0), ForceField(lambda t, x: x)]
+    ).rotational
+    assert Scene(chain, 1.0, constraints=[FrozenJoints(), Gears()], flow=Shear(1.0)).rotational

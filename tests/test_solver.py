@@ -1,0 +1,221 @@
+"""Time stepping: order, drift, gradients, one trace, and the pure and the watched run (T5, T6, T14)."""
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import SOLVERS, bent, name, scene
+
+from jaxbeads import AB3, Chain, Scene, dynamics, rollout, simulate, straight
+from jaxbeads.constraint import Gears
+from jaxbeads.flow import OscillatingShear
+from jaxbeads.force import Bending, BendingEnergy, Weight
+from jaxbeads.solver import bending_step
+
+CHAIN = Chain(1.0, 5)
+TIMES = np.linspace(0.0, 4.0, 3)
+
+
+def moving(flow=True):
+    """A scene that depends on time and is not stiff, and its start."""
+    extra = {"flow": OscillatingShear(0.7, 2.0)} if flow else {}
+    return Scene(
+        CHAIN, 1.0, constraints=[Gears()], forces=[Weight([0.2, -1.0]), Bending(4.0)], **extra
+    ), bent(CHAIN)
+
+
+@pytest.mark.parametrize("solver, order", SOLVERS, ids=name)
+def test_observed_order(solver, order):
+    # Gate T6: four halvings, start-up included, against a solution that is 1e-13 exact.
+    model, state = moving()
+    run = jax.jit(
+        lambda substeps: (
+            rollout(model, state, TIMES, solver=solver, substeps=substeps).final.position
+        ),
+        static_argnums=0,
+    )
+    exact = rollout(model, state, TIMES, solver=diffrax.Dopri8(), substeps=400).final.position
+    first = {1: 800, 2: 100, 3: 100, 5: 10}[order]
+    steps = [first * 2**k for k in range(5)]
+    errors = [float(jnp.abs(run(n) - exact).max()) for n in steps]
+    slopes = np.diff(np.log(errors)) / -np.log(2)
+    assert errors[-1] > 1e-12  # else rounding is measured
+    assert abs(slopes[-1] - order) < 0.1, (errors, slopes)
+
+
+def test_projection_keeps_the_order():
+    model, state = moving()
+    exact = rollout(model, state, TIMES, solver=diffrax.Dopri8(), substeps=400).final.position
+    errors = []
+    for substeps in (200, 400, 800):
+        run = rollout(model, state, TIMES, substeps=substeps, projected=True)
+        errors.append(float(jnp.abs(run.final.position - exact).max()))
+        error = np.abs(np.asarray(Gears().drift(run.final, CHAIN))).max()
+        assert error < 1e-14
+    slopes = np.diff(np.log(errors)) / -np.log(2)
+    assert abs(slopes[-1] - 3) < 0.1
+
+
+@pytest.mark.slow
+def test_drift_after_many_steps():
+    # Gate T5: residual 1e-12 at each step; bond lengths to 1e-8 a after 1e5 AB3 steps at (39).
+    chain = Chain(1.0, 10)
+    model = Scene(chain, 1.0, constraints=[Gears()], forces=[Weight([0.0, -1.0]), Bending(100.0)])
+    state = straight(chain, [1.0, 0.0])
+    step = float(bending_step(model))
+    solution = simulate(model, state, np.arange(101) * 1000 * step, substeps=1000, progress=False)
+    assert int(solution.steps) == 100_000
+    assert np.max(solution.bond_length_error) * 2 < 1e-8
+    each = simulate(model, state, np.arange(2001) * step, substeps=1, progress=False)
+    assert np.max(each.residual) < 1e-12
+
+
+def test_paper_step_and_stability_limit():
+    # Eq. (39), and the claim that AB3 is stable to about 2.2 times it.
+    chain = Chain(0.5, 20)
+    model = Scene(chain, 2.0, constraints=[Gears()], forces=[Bending(np.linspace(1.0, 3.0, 18))])
+    assert abs(float(bending_step(model)) - 2.0 / 3.0) < 1e-15
+    assert np.isinf(bending_step(Scene(chain, 1.0)))
+    model = Scene(Chain(1.0, 20), 1.0, constraints=[Gears()], forces=[Bending(1.0)])
+    flat = straight(model.chain, [1.0, 0.0])
+
+    def lateral(y):
+        moved = eqx.tree_at(lambda s: s.position, flat, flat.position.at[:, 1].set(y))
+        return dynamics.motion(0.0, moved, model).velocity[:, 1]
+
+    rates = np.linalg.eigvals(jax.jit(jax.jacfwd(lateral))(jnp.zeros(20))).real
+    assert abs(-rates.min() * float(bending_step(model)) - 0.25) < 0.01
+    limit = 6 / 11 / 0.25  # AB3 is stable on the real axis to 6/11
+    assert 2.1 < limit < 2.3
+
+
+def test_rollout_and_simulate_agree():
+    model, state = moving()
+    pure = jax.jit(lambda m, s: rollout(m, s, TIMES, substeps=50))(model, state)
+    watched = simulate(model, state, TIMES, substeps=50, progress=False)
+    assert np.abs(pure.states.position - watched.states.position).max() < 1e-13
+    assert watched.status == "finished" and int(watched.steps) == 100
+    assert watched.compile_s <= watched.wall_s
+
+
+@pytest.mark.parametrize("solver", [diffrax.Tsit5(), diffrax.Kvaerno3()], ids=name)
+def test_adaptive_steps(solver):
+    # The error follows the tolerance; save times lie between steps.
+    model, state = moving()
+    exact = rollout(model, state, TIMES, solver=diffrax.Dopri8(), substeps=400).states.position
+    errors, steps = [], []
+    for tolerance in (1e-4, 1e-8):
+        controller = diffrax.PIDController(rtol=0.0, atol=tolerance)
+        run = simulate(model, state, TIMES, solver=solver, controller=controller, progress=False)
+        errors.append(float(jnp.abs(run.states.position - exact).max()))
+        steps.append(int(run.steps))
+        assert int(run.code) == 0
+        assert errors[-1] < 100 * tolerance
+    assert steps[1] > 1.5 * steps[0]
+
+
+def test_vmap_equals_loop():
+    model, state = moving()
+    rigidities = jnp.array([1.0, 4.0, 9.0])
+
+    def final(rigidity, solver, **options):
+        varied = eqx.tree_at(lambda m: m.forces[1].rigidity, model, rigidity)
+        return rollout(varied, state, TIMES, solver=solver, **options).final.position
+
+    cases = [
+        (AB3(), {"substeps": 40}),
+        (diffrax.Tsit5(), {"controller": diffrax.PIDController(rtol=0.0, atol=1e-6)}),
+    ]
+    for solver, options in cases:
+        batch = jax.jit(jax.vmap(lambda k: final(k, solver, **options)))(rigidities)  # noqa: B023
+        for k, member in zip(rigidities, batch, strict=True):
+            assert np.abs(final(k, solver, **options) - member).max() < 1e-12
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("solver", ["AB3", "Tsit5", "adaptive"])
+def test_gradient_of_a_trajectory(solver, dim):
+    # Reverse mode against central differences, with respect to every number of scene and state.
+    chain = Chain(1.0, 5)
+    model, state = (
+        scene(chain, dim, forces=[Weight(np.array([0.1, -0.4, 0.2])[:dim]), Bending(4.0)]),
+        bent(chain, dim),
+    )
+    options = {
+        "AB3": {"substeps": 20},
+        "Tsit5": {"solver": diffrax.Tsit5(), "substeps": 5},
+        "adaptive": {
+            "solver": diffrax.Tsit5(),
+            "controller": diffrax.PIDController(rtol=0.0, atol=1e-10),
+            "max_steps": 256,
+        },
+    }[solver]
+
+    def value(model, state):
+        return jnp.sum(jnp.sin(rollout(model, state, TIMES, **options).states.position))
+
+    value_and_grad = jax.jit(jax.value_and_grad(value, argnums=(0, 1)))
+    _, slopes = value_and_grad(model, state)
+    leaves, tree = jax.tree.flatten((model, state))
+    rng = np.random.default_rng(1)
+    direction = [jnp.asarray(rng.normal(size=np.shape(x))) for x in leaves]
+    dot = sum(
+        float(jnp.vdot(a, b)) for a, b in zip(direction, jax.tree.leaves(slopes), strict=True)
+    )
+    h = 1e-5
+
+    def at(step):
+        moved = [x + step * d for x, d in zip(leaves, direction, strict=True)]
+        return float(value_and_grad(*jax.tree.unflatten(tree, moved))[0])
+
+    difference = (8 * (at(h) - at(-h)) - (at(2 * h) - at(-2 * h))) / (12 * h)
+    assert np.isfinite(dot)
+    assert abs(difference - dot) < 1e-6 * abs(dot)
+
+
+def test_one_trace_for_fifty_parameter_sets():
+    # Gate T14: numbers are leaves, so a new value compiles nothing.
+    traces = []
+
+    @jax.jit
+    def final(model, state):
+        traces.append(1)
+        return rollout(model, state, TIMES, substeps=5).final.position
+
+    results = []
+    for k in range(50):
+        chain = Chain(1.0 + 0.001 * k, 5)
+        forces = [Weight([0.1 * k, -1.0]), Bending(1.0 + k, 0.01 * k), BendingEnergy(k)]
+        model = Scene(
+            chain, 1 + k, constraints=[Gears()], forces=forces, flow=OscillatingShear(k, 1.0)
+        )
+        results.append(np.asarray(final(model, straight(chain, [1.0, 0.0]))))
+    assert len(traces) == 1
+    assert len({r.tobytes() for r in results}) == 50
+
+
+def test_until_stops_early():
+    model, state = moving()
+    run = simulate(
+        model,
+        state,
+        np.linspace(0, 4, 9),
+        substeps=10,
+        progress=False,
+        chunk=1,
+        until=lambda s: bool(s.ts[-1] >= 1.5),
+    )
+    assert run.status == "stopped by `until`"
+    assert abs(float(run.ts[-1]) - 1.5) < 1e-12
+
+
+def test_single_precision_when_asked_for():
+    # Float32 is workable for small chains; its error is stated here, against the same run in float64.
+    model, state = moving()
+    low = jax.tree.map(lambda x: x.astype(jnp.float32), (model, state))
+    run = simulate(*low, TIMES, substeps=40, progress=False, single_precision=True)
+    exact = simulate(model, state, TIMES, substeps=40, progress=False)
+    assert run.states.position.dtype == jnp.float32
+    assert 1e-8 < np.abs(run.states.position - exact.states.position).max() < 1e-4
