@@ -47,19 +47,30 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _adaptive_solver(name: str) -> diffrax.AbstractSolver | None:
+    kinds = {k.lower(): v for k, v in vars(diffrax).items() if inspect.isclass(v)}
+    kind = kinds.get(name.lower(), object)
+    if not issubclass(kind, diffrax.AbstractAdaptiveSolver):
+        return None
+    try:
+        solver = kind()
+    except TypeError:  # an abstract class, or a solver made of another one
+        return None
+    # The others are for stochastic or split equations.
+    return solver if solver.term_structure is diffrax.AbstractTerm else None
+
+
 def _solver_options(name: str, case: Case) -> dict[str, Any]:
     if name.lower() == "ab3":
         return {"solver": AB3()}
-    known = {k.lower(): v for k, v in vars(diffrax).items() if inspect.isclass(v)}
-    kind = known.get(name.lower())
-    adaptive = kind is not None and issubclass(kind, diffrax.AbstractAdaptiveSolver)
-    if not adaptive or inspect.isabstract(kind):
+    solver = _adaptive_solver(name)
+    if solver is None:
         raise ValueError(
             "Argument `--solver` must be AB3 or the name of an adaptive diffrax solver (Tsit5, Dopri5, "
             f"Kvaerno3, Kvaerno5, ...), but it is {name!r}."
         )
     tolerance = 1e-7 * float(case.scene.chain.length[0])
-    return {"solver": kind(), "controller": diffrax.PIDController(rtol=0.0, atol=tolerance)}  # pyright: ignore[reportOptionalCall]
+    return {"solver": solver, "controller": diffrax.PIDController(rtol=0.0, atol=tolerance)}
 
 
 def _write(ready: ReadyMade, case: Case, solution: Solution, folder: Path) -> list[Path]:
@@ -91,7 +102,8 @@ def _run(ready: ReadyMade, arguments: argparse.Namespace) -> None:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise ValueError(
-                f"Argument `--out` must be a folder that can be written, but {folder} is not: {error}."
+                f"Argument `--out` must be a folder that can be written, but {folder} is not: "
+                f"{error.strerror}."
             ) from None
         options["file"] = folder / f"{ready.name}.h5"
     solution = case.simulate(**options)

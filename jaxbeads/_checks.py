@@ -29,13 +29,18 @@ def described(value: Any) -> str:
     """What a value of the wrong kind is, in words."""
     if isinstance(value, type):
         return f"the class {value.__name__} itself"
-    return f"{value!r}" if isinstance(value, (str, type(None))) else f"a {type(value).__name__}"
+    return repr(value) if isinstance(value, (str, type(None))) else _one(type(value))
+
+
+def _one(kind: type) -> str:
+    article = "an" if kind.__name__[0] in "AEIOaeio" else "a"
+    return f"{article} {kind.__name__}"
 
 
 def kind(name: str, value: Any, wanted: type) -> None:
     """An instance of the class `wanted`."""
     if not isinstance(value, wanted):
-        fail(name, f"be a {wanted.__name__} object", f"it is {described(value)}")
+        fail(name, f"be {_one(wanted)} object", f"it is {described(value)}")
 
 
 def finite(name: str, value: Any) -> None:

@@ -113,7 +113,9 @@ def _matrix(t: Time, state: State, scene: Scene, operator: MobilityOperator) -> 
     rest = jnp.where(empty[:, None], units, rest)
     if block is None:
         return rest
-    return jnp.concatenate([jnp.pad(block, ((0, 0), (0, rows - known))), rest]) if len(rest) else block
+    return (
+        jnp.concatenate([jnp.pad(block, ((0, 0), (0, rows - known))), rest]) if len(rest) else block
+    )
 
 
 def evaluate(t: Time, state: State, scene: Scene) -> Evaluation:

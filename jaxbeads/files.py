@@ -197,10 +197,10 @@ def reopen(
     """
     handle = _open(path, "r+")
     try:
-        if handle.attrs.get("model") != _model(scene, stepper):
-            must = "the scene and solver with which the file was written"
-            raise ValueError(f"Argument `scene` must be {must}, but its terms differ.")
         with _readable(path):
+            if handle.attrs.get("model") != _model(scene, stepper):
+                must = "the scene and solver with which the file was written"
+                raise ValueError(f"Argument `scene` must be {must}, but its terms differ.")
             _restore(handle, "scene", (scene, stepper), path, same=True)
             carry = _restore(handle, "checkpoint", carry, path, same=False)
             ts, done = np.asarray(handle["ts"]), np.asarray(handle["t"])

@@ -145,7 +145,7 @@ def rigid_resistance(
 
     size = beads * (dim + turns)
     matrix = jax.vmap(column)(jnp.eye(size).reshape(size, beads, dim + turns))
-    arm = position - jnp.mean(position, axis=0)
+    arm = position - jnp.mean(position, axis=0, keepdims=True)
     rows = []
     for unit in np.eye(turns):
         if dim == 2:

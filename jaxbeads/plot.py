@@ -19,7 +19,7 @@ from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
-from ._checks import fail
+from ._checks import fail, whole
 from .chain import Chain
 from .observables import curvature
 from .rollout import Solution
@@ -70,8 +70,16 @@ class View:
 _WHOLE = View()
 
 
+def _check(solution: Solution, chain: Chain) -> None:
+    beads = solution.states.position.shape[1]
+    if chain.beads != beads:
+        fail("chain", f"have the solution's {beads} beads", f"it has {chain.beads}")
+
+
 def _snapshots(points: np.ndarray, number: int) -> np.ndarray:
     """Times between which the shape changes equally much, so that fast events are seen."""
+    if len(points) == 1:
+        return np.zeros(1, int)
     shape = points - points.mean(axis=1, keepdims=True)
     change = np.linalg.norm(np.diff(shape, axis=0), axis=2).mean(axis=1)
     path = np.concatenate([[0.0], np.cumsum(change + 1e-3 * change.mean() + 1e-300)])
@@ -91,6 +99,8 @@ def shapes(
     The times are such that the shape changes equally much from one to the next. **Returns** a figure
     with equal axes in units of the first fibre's length L.
     """
+    _check(solution, chain)
+    whole("number", number, 1)
     points = view.points(solution, float(chain.length[0]))
     ts = np.asarray(solution.ts)
     scale, colours = Normalize(ts[0], ts[-1]), colormaps["viridis"]
@@ -125,6 +135,7 @@ def kymograph(solution: Solution, chain: Chain, *, axes: Axes | None = None) -> 
     Signed in the plane, where red bends anticlockwise from the first bead to the last.
     **Returns** a figure. **Raises** `ValueError` for fewer than three beads.
     """
+    _check(solution, chain)
     beads = chain.fibres[0]
     if beads < 3:
         fail("chain", "have at least three beads in its first fibre", f"it has {beads}")
@@ -163,13 +174,19 @@ def movie(
     """Write an animated gif of the beads, drawn to scale.
 
     **Arguments**: number of `frames`, spread evenly over the saved times; duration in `seconds`.
-    **Returns** the path. **Raises** `ValueError` if it cannot be written.
+    **Returns** the path. **Raises** `ValueError` if it is no gif or cannot be written.
     """
+    path = Path(path)
+    if path.suffix.lower() != ".gif":
+        fail("path", "end in .gif", f"it is {path}")
+    _check(solution, chain)
+    whole("frames", frames, 1)
     length = float(chain.length[0])
     points, radii = view.points(solution, length), np.asarray(chain.radii) / length
     ts = np.asarray(solution.ts)
     chosen = np.unique(np.linspace(0, len(ts) - 1, frames).round().astype(int))
-    low, high = points.min(axis=(0, 1)) - 0.05, points.max(axis=(0, 1)) + 0.05
+    margin = 0.05 + float(radii.max())  # beads of a short fibre are large
+    low, high = points.min(axis=(0, 1)) - margin, points.max(axis=(0, 1)) + margin
     width, height = high - low
     figure = Figure(figsize=(5.0, float(np.clip(5 * height / width, 1.5, 6.0)) + 0.6), dpi=90)
     ax = figure.add_axes((0.13, 0.12, 0.84, 0.8))
@@ -185,7 +202,6 @@ def movie(
         beads = [Circle(tuple(p), r) for p, r in zip(points[k], radii, strict=True)]
         ax.add_collection(PatchCollection(beads, facecolors=colours, edgecolors="none"))
         images.append(_raster(figure))
-    path = Path(path)
     try:
         images[0].save(
             path,
@@ -195,7 +211,7 @@ def movie(
             loop=0,
         )
     except OSError as error:
-        fail("path", "be a file that can be written", f"{path} is not: {error}")
+        fail("path", "be a file that can be written", f"{path} is not: {error.strerror}")
     return path
 
 

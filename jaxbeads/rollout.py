@@ -83,7 +83,10 @@ def stepper_for(
             fail("substeps", "be None when a controller chooses the steps", f"it is {substeps}")
         if isinstance(solver, AB3):
             fail("controller", "be None for AB3, whose steps are equal", "one is given")
-        return AdaptiveSteps(solver, controller, max_steps, projected)
+        return AdaptiveSteps(_with_tolerances(solver, controller), controller, max_steps, projected)
+    if isinstance(solver, diffrax.AbstractImplicitSolver) and _missing(solver):
+        must = "be given with an implicit solver, whose root finder takes its tolerances from it"
+        fail("controller", must, "it is None")
     if isinstance(solver, AB3) and known(ts):
         gaps = np.diff(np.asarray(ts))
         if np.ptp(gaps) > 1e-6 * np.max(gaps):
@@ -96,6 +99,28 @@ def stepper_for(
         substeps = substeps_for(scene, ts, None)
     whole("substeps", substeps, 1)
     return FixedSteps(solver, substeps, projected)
+
+
+def _missing(solver: diffrax.AbstractImplicitSolver) -> list[str]:
+    """Settings of the root finder that `diffrax` leaves to the controller."""
+    finder = solver.root_finder
+    numbers = [
+        n for n in ("rtol", "atol") if not isinstance(getattr(finder, n), (float, jax.Array))
+    ]
+    return numbers + ([] if callable(getattr(finder, "norm", None)) else ["norm"])
+
+
+def _with_tolerances(
+    solver: diffrax.AbstractSolver, controller: diffrax.AbstractStepSizeController
+) -> diffrax.AbstractSolver:
+    if not isinstance(solver, diffrax.AbstractImplicitSolver):
+        return solver
+    names = _missing(solver)
+    return eqx.tree_at(
+        lambda s: [getattr(s.root_finder, name) for name in names],
+        solver,
+        [getattr(controller, name) for name in names],
+    )
 
 
 def advance(

@@ -83,6 +83,8 @@ def check(
 
     **Raises** `ValueError`. Values that are being traced are not looked at.
     """
+    kind("scene", scene, Scene)
+    kind("state", state, State)
     position, chain = state.position, scene.chain
     if position.dtype != jnp.float64 and not single_precision:
         raise ValueError(

@@ -46,7 +46,7 @@ SOLVERS = [
     (AB3(), 3),
     (diffrax.Euler(), 1),
     (diffrax.Heun(), 2),
-    (diffrax.Tsit5(), 5),
+    (diffrax.Bosh3(), 3),
 ]
 
 

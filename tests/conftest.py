@@ -7,7 +7,7 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 with install_import_hook("jaxbeads", "beartype.beartype"):
-    import jaxbeads  # noqa: F401
+    import jaxbeads
     import jaxbeads.plot  # noqa: F401
 
 

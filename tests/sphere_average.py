@@ -7,6 +7,8 @@ that responds, of the Stokes flow of the sphere that is driven (Wajnryb et al., 
 the closed forms of the package is used here.
 """
 
+from itertools import pairwise
+
 import numpy as np
 
 
@@ -41,7 +43,7 @@ def response(d, a_i, a_j, force, torque, strain, nodes=60):
     x, w = np.polynomial.legendre.leggauss(nodes)
     velocity, spin = np.zeros(3), np.zeros(3)
     angles = 2 * np.pi * (np.arange(16) + 0.5) / 16
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in pairwise(edges):
         c = 0.5 * (low + high) + 0.5 * (high - low) * x
         s = np.sqrt(1 - c**2)
         n = np.stack(

@@ -2,15 +2,13 @@
 
 import os
 import signal
-import threading
-import time
 
 import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import SOLVERS, bent, name
+from cases import SOLVERS, bent
 
 import jaxbeads
 from jaxbeads import AB3, Chain, Scene, SimulationError, load, resume, simulate, straight
@@ -90,19 +88,24 @@ def test_interrupt_leaves_a_valid_file(tmp_path):
     times = np.linspace(0, 2000.0, 2001)
     whole = simulate(model(), state, times, substeps=40, progress=False)
 
-    def interrupt():
-        while not path.exists() or path.stat().st_size < 20_000:
-            time.sleep(0.005)
-        time.sleep(0.05)
-        os.kill(os.getpid(), signal.SIGINT)
+    def press_ctrl_c(solution):
+        if len(solution.ts) == 40:
+            os.kill(os.getpid(), signal.SIGINT)
+        return False
 
-    thread = threading.Thread(target=interrupt)
-    thread.start()
     with pytest.warns(UserWarning, match="interrupted"):
-        part = simulate(model(), state, times, substeps=40, progress=False, file=path, chunk=1)
-    thread.join()
+        part = simulate(
+            model(),
+            state,
+            times,
+            substeps=40,
+            progress=False,
+            file=path,
+            chunk=1,
+            until=press_ctrl_c,
+        )
     assert part.status == "interrupted"
-    assert 1 < len(part.ts) < 2001
+    assert 40 <= len(part.ts) < 2001
     assert len(load(path).ts) == len(part.ts)
     resume(path, model(), substeps=40, progress=False)
     assert bits(load(path)) == bits(whole)

@@ -13,6 +13,7 @@ from .relaxation import RELAXATION
 from .relaxation import relaxation as relaxation
 from .settling import SETTLING
 from .settling import settling as settling
+from .settling import settling_friction as settling_friction
 from .shear import SHEAR
 from .shear import shear as shear
 

@@ -58,13 +58,13 @@ def settling(
     relaxation = viscosity * length**4 / (100 * float(rigidity))  # of the slowest bending mode
     ts = np.linspace(0, 60 * relaxation, 6001)
     # Eq. (39) knows of bending only: a soft fibre must not fall by more than 0.2 a in a step either.
-    speed = weight * beads / float(_rigid_friction(scene))
+    speed = weight * beads / float(settling_friction(scene))
     step = min(float(bending_step(scene)), 0.2 * radius / speed)
     return Case(scene, state, ts, substeps_for(scene, jnp.asarray(ts), step), _steady, chunk=50)
 
 
-def _rigid_friction(scene: Scene) -> Array:
-    """Friction coefficient of the straight fibre across its axis."""
+def settling_friction(scene: Scene) -> Array:
+    """gamma_0, friction coefficient of the rigid straight fibre across its axis."""
     flat = straight(scene.chain, [1.0, 0.0]).position
     return rigid_resistance(flat, scene.chain, scene.viscosity, scene.mobility)[1, 1]
 
@@ -76,7 +76,7 @@ def _steady(solution: Solution) -> bool:
     position = solution.states.position[-151:]
     shape = position - jnp.mean(position, axis=1, keepdims=True)
     length = jnp.sum(jnp.linalg.norm(jnp.diff(shape[-1], axis=0), axis=1))
-    return bool(jnp.max(jnp.abs(shape - shape[-1])) < 1e-6 * length)
+    return bool(jnp.max(jnp.abs(shape - shape[-1:])) < 1e-6 * length)
 
 
 def _deflection(case: Case, solution: Solution) -> np.ndarray:
@@ -90,7 +90,7 @@ def _observables(case: Case, solution: Solution) -> dict[str, float]:
     gamma = friction_coefficient(solution.ts[-1], final, scene, force)
     return {
         "deflection": float(_deflection(case, solution)[-1]),
-        "friction_ratio": float(gamma / _rigid_friction(scene)),
+        "friction_ratio": float(gamma / settling_friction(scene)),
         "tilt": float(tilt(final.position, _UP) / scene.chain.length[0]),
     }
 

@@ -132,8 +132,11 @@ class AdaptiveSteps(eqx.Module):
         )
         memory = solver.init(_TERM, t0, end, state, scene)
         jump = jnp.zeros((), bool)
-        shape = eqx.filter_eval_shape(solver.step, _TERM, t0, end, state, scene, memory, jump)[2]
+        shape = eqx.filter_eval_shape(
+            lambda y: solver.step(_TERM, t0, end, y, scene, memory, jump)[2], state
+        )
         dense = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shape)
+        controller = jax.tree.map(jnp.asarray, controller)
         adaptive = _Adaptive(t0, end, state, memory, controller, jump, (t0, t0, dense))
         return Carry(state, jnp.zeros((), int), jnp.zeros((), int), adaptive)
 

@@ -1,0 +1,561 @@
+"""Bad input: one clear sentence that names the argument, before anything is traced."""
+
+import importlib
+import re
+import shutil
+
+import diffrax
+import h5py
+import jax
+import jax.numpy as jnp
+import jaxtyping
+import numpy as np
+import pytest
+
+from jaxbeads import (
+    AB3,
+    Chain,
+    Scene,
+    SimulationError,
+    State,
+    check,
+    dynamics,
+    from_tangents,
+    load,
+    resume,
+    rollout,
+    scenes,
+    simulate,
+    straight,
+)
+from jaxbeads.__main__ import main
+from jaxbeads.constraint import FrozenJoints, Gears
+from jaxbeads.flow import Extension, LinearFlow, OscillatingShear, Poiseuille, Shear
+from jaxbeads.force import Bending, BendingEnergy, SineRuleCurvature, Weight
+from jaxbeads.mobility import RPY
+
+NAN = float("nan")
+CHAIN = Chain(1.0, 5)
+START = straight(CHAIN, [1.0, 0.0])
+SPATIAL = straight(CHAIN, [1.0, 0.0, 0.0])
+TIMES = np.linspace(0.0, 0.8, 5)
+PID = diffrax.PIDController(rtol=0.0, atol=1e-6)
+
+
+def model(chain=CHAIN, viscosity=1.0, **terms):
+    terms = {"constraints": [Gears()], "forces": [Bending(10.0)], "flow": Shear(1.0)} | terms
+    return Scene(chain, viscosity, **terms)
+
+
+def run(state=START, ts=TIMES, scene=None, **options):
+    return simulate(scene or model(), state, ts, progress=False, **options)
+
+
+def run_force(*forces, state=START):
+    return run(state, scene=model(forces=forces))
+
+
+def single(tree):
+    return jax.tree.map(lambda x: x.astype(jnp.float32), tree)
+
+
+def sentence(error):
+    """The one form that a refusal has."""
+    text = str(error)
+    assert re.fullmatch(r"Argument `[\w.-]+` must [^\n]+, but [^\n]+[^.\s]\.", text), text
+    assert not re.search(r"[.!?] [A-Z]", text), text  # one sentence, not two
+    assert not re.search(r"Traceback|Traced<|Tracer|0x[0-9a-f]|object at|\berrno\b", text), text
+    return text
+
+
+@pytest.fixture(autouse=True)
+def as_for_users(monkeypatch):
+    # Users have run-time type checks off; with them on, some of these calls do not get as far.
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
+
+
+def never(*_, **__):
+    raise AssertionError("the input was not refused in time")
+
+
+@pytest.fixture
+def unrun(monkeypatch):
+    """Nothing may be advanced."""
+    # By name: the attribute `jaxbeads.simulate` is the function.
+    monkeypatch.setattr(importlib.import_module("jaxbeads.simulate"), "_advance", never)
+
+
+@pytest.fixture
+def untraced(unrun, monkeypatch):
+    """Nothing may be compiled, and the dynamics may not even be traced."""
+    monkeypatch.setattr(dynamics, "evaluate", never)
+    for name in ("_init", "_diagnostics"):
+        monkeypatch.setattr(importlib.import_module("jaxbeads.simulate"), name, never)
+
+
+# What is wrong: the call, and the part of the message that has to say so.
+CHAINS = {
+    "negative radius": (
+        lambda: Chain(-1.0, 5),
+        "`radius` must be positive, but its smallest value",
+    ),
+    "zero radius": (lambda: Chain(0, 5), "`radius` must be positive"),
+    "NaN radius": (lambda: Chain(NAN, 5), "`radius` must be finite, but it holds nan"),
+    "infinite radius": (lambda: Chain(np.inf, 5), "`radius` must be finite, but it holds inf"),
+    "too few radii": (
+        lambda: Chain([1.0, 1.0], 5),
+        "`radius` must have shape () or (5,), but it has shape (2,)",
+    ),
+    "one radius negative": (
+        lambda: Chain([1, 1, -2, 1, 1], 5),
+        "`radius` must be positive, but its smallest value is -2",
+    ),
+    "one radius NaN": (lambda: Chain([1, NAN, 1], 3), "it holds nan at index [1]"),
+    "no fibres": (lambda: Chain(1.0, ()), "`fibres` must name at least one fibre"),
+    "fibre of 0 beads": (lambda: Chain(1.0, (3, 0)), "`fibres` must be at least 1, but it is 0"),
+    "fibre of 5.0 beads": (
+        lambda: Chain(1.0, 5.0),
+        "`fibres` must be a whole number, but it is 5.0",
+    ),
+    "fibres None": (lambda: Chain(1.0, None), "`fibres` must be a whole number, but it is None"),
+    "zero direction": (lambda: straight(CHAIN, [0, 0]), "`direction` must not be zero"),
+    "zero direction of one fibre": (
+        lambda: straight(Chain(1.0, (2, 3)), [[1, 0], [0, 0]], [[0, 0], [0, 9]]),
+        "`direction` must not be zero, but it is zero at index [1]",
+    ),
+    "NaN direction": (lambda: straight(CHAIN, [1, NAN]), "`direction` must be finite"),
+    "direction in 4-D": (
+        lambda: straight(CHAIN, [1, 0, 0, 0]),
+        "`direction` must have shape (2,) or (3,) or (1, 2) or (1, 3), but it has shape (4,)",
+    ),
+    "too few tangents": (
+        lambda: from_tangents(CHAIN, np.ones((3, 2))),
+        "`tangents` must have shape (4, 2 or 3), but it has shape (3, 2)",
+    ),
+    "zero tangent": (
+        lambda: from_tangents(CHAIN, [[1, 0], [1, 0], [0, 0], [1, 0]]),
+        "`tangents` must not be zero, but it is zero at index [2]",
+    ),
+    "NaN tangent": (lambda: from_tangents(Chain(1.0, 2), [[1, NAN]]), "`tangents` must be finite"),
+    "spatial centre in the plane": (
+        lambda: straight(CHAIN, [1, 0], [0, 0, 0]),
+        "`centre` must have shape (2,) or (1, 2), but it has shape (3,)",
+    ),
+    "NaN centre": (lambda: straight(CHAIN, [1, 0], [0, NAN]), "`centre` must be finite"),
+}
+
+STATES = {
+    "position in 4-D": (
+        lambda: State(np.zeros((5, 4))),
+        "`position` must have shape (beads, 2) or (beads, 3), but it has shape (5, 4)",
+    ),
+    "position in one row": (lambda: State(np.zeros(5)), "`position` must have shape (beads, 2)"),
+    "no beads": (lambda: State(np.zeros((0, 2))), "`position` must have shape (beads, 2)"),
+    "NaN position": (
+        lambda: State([[0, 1], [0, NAN]]),
+        "`position` must be finite, but it holds nan at index [1, 1]",
+    ),
+    "too few directors": (
+        lambda: State(np.zeros((5, 2)), np.ones((4, 2))),
+        "`director` must have the position's shape (5, 2), but it has (4, 2)",
+    ),
+    "NaN director": (lambda: State([[0, 1]], [[NAN, 1]]), "`director` must be finite"),
+    "directors that nothing turns": (
+        lambda: run(
+            State(START.position, jnp.ones((5, 2))),
+            scene=Scene(CHAIN, 1.0, forces=[Weight([0, 1])]),
+            substeps=1,
+        ),
+        "`state` must hold no directors, but no term of the scene turns beads",
+    ),
+    "another number of beads": (
+        lambda: run(straight(Chain(1.0, 4), [1, 0])),
+        "`state` must hold the chain's 5 beads, but it holds 4",
+    ),
+    "an array as state": (
+        lambda: run(START.position),
+        "`state` must be a State object, but it is an ArrayImpl",
+    ),
+    "overlap": (
+        lambda: run(
+            straight(Chain(1.0, (2, 3)), [1, 0], [[0, 0], [3, 1.5]]),
+            scene=model(Chain(1.0, (2, 3))),
+            overlap=False,
+        ),
+        "`state` must hold no overlapping beads in this scene, but beads 1 and 2 overlap by 0.5",
+    ),
+    "float32": (
+        lambda: run(State(np.asarray(START.position, np.float32))),
+        "`state` must be in float64, but it is in float32: call jax.config.update(",
+    ),
+    "float32 in a float64 scene": (
+        lambda: run(single(START), single_precision=True),
+        "`scene` must be in float32 as the state is, but it holds numbers in float64",
+    ),
+}
+
+TERMS = {
+    "zero viscosity": (lambda: model(viscosity=0), "`viscosity` must be positive"),
+    "negative viscosity": (
+        lambda: model(viscosity=-0.5),
+        "`viscosity` must be positive, but its smallest value is -0.5",
+    ),
+    "NaN viscosity": (lambda: model(viscosity=NAN), "`viscosity` must be finite"),
+    "two viscosities": (
+        lambda: model(viscosity=[1.0, 2.0]),
+        "`viscosity` must have shape (), but it has shape (2,)",
+    ),
+    "force as constraint": (
+        lambda: model(constraints=[Weight([0, 1])]),
+        "`constraints` must hold AbstractConstraint objects, but it holds a Weight",
+    ),
+    "constraint as force": (
+        lambda: model(forces=[Gears()]),
+        "`forces` must hold AbstractForce objects, but it holds a Gears",
+    ),
+    "a class as constraint": (
+        lambda: model(constraints=[Gears]),
+        "`constraints` must hold AbstractConstraint objects, but it holds the class Gears itself",
+    ),
+    "a constraint without a list": (
+        lambda: model(constraints=Gears()),
+        "`constraints` must be a list of AbstractConstraint objects, but it is a Gears",
+    ),
+    "force as flow": (
+        lambda: model(flow=Weight([0, 1])),
+        "`flow` must be an AbstractFlow object, but it is a Weight",
+    ),
+    "a class as mobility": (
+        lambda: model(mobility=RPY),
+        "`mobility` must be an AbstractMobility object, but it is the class RPY itself",
+    ),
+    "a number as chain": (
+        lambda: Scene(5, 1.0),
+        "`chain` must be a Chain object, but it is an int",
+    ),
+    "negative rigidity": (lambda: Bending(-1.0), "`rigidity` must not be negative"),
+    "NaN rigidity": (lambda: BendingEnergy(NAN), "`rigidity` must be finite"),
+    "matrix of rigidities": (
+        lambda: Bending(np.ones((2, 2))),
+        "`rigidity` must be one number or one for each joint, but it has shape (2, 2)",
+    ),
+    "too many rigidities": (
+        lambda: run_force(Bending(np.ones(4))),
+        "`Bending.rigidity` must have shape () or (3,), but it has shape (4,)",
+    ),
+    "too many rigidities of the energy": (
+        lambda: run_force(BendingEnergy(np.ones(4))),
+        "`BendingEnergy.rigidity` must have shape () or (3,), but it has shape (4,)",
+    ),
+    "NaN intrinsic curvature": (
+        lambda: Bending(1.0, [0, NAN, 0]),
+        "`intrinsic_curvature` must be finite, but it holds nan at index [1]",
+    ),
+    "curvature vectors in the plane": (
+        lambda: run_force(Bending(1.0, np.ones((3, 3)))),
+        "`Bending.intrinsic_curvature` must have shape () or (3,), but it has shape (3, 3)",
+    ),
+    "curvature vectors of the energy": (
+        lambda: BendingEnergy(1.0, np.ones((3, 3))),
+        "`intrinsic_curvature` must be one number or one for each joint",
+    ),
+    "spatial weight in the plane": (
+        lambda: run_force(Weight([0, 0, 1]), Bending(1.0)),
+        "`Weight.force` must have shape (2,) or (5, 2), but it has shape (3,)",
+    ),
+    "planar weight in space": (
+        lambda: run_force(Weight([0, 1]), Bending(1.0), state=SPATIAL),
+        "`Weight.force` must have shape (3,) or (5, 3), but it has shape (2,)",
+    ),
+    "weight without direction": (
+        lambda: Weight(1.0),
+        "`force` must have shape (dim,) or (beads, dim), but it has shape ()",
+    ),
+    "NaN weight": (
+        lambda: Weight([0, NAN]),
+        "`force` must be finite, but it holds nan at index [1]",
+    ),
+    "oblong LinearFlow": (
+        lambda: LinearFlow(np.ones((2, 3))),
+        "`matrix` must have shape (2, 2) or (3, 3), but it has shape (2, 3)",
+    ),
+    "spatial LinearFlow in the plane": (
+        lambda: run(scene=model(flow=LinearFlow(np.zeros((3, 3))))),
+        "`LinearFlow.matrix` must have shape (2, 2), but it has shape (3, 3)",
+    ),
+    "LinearFlow with a trace": (
+        lambda: rollout(model(flow=LinearFlow(np.eye(3))), SPATIAL, TIMES),
+        "`LinearFlow.matrix` must have no trace (incompressible), but it is 3",
+    ),
+    "plates that touch": (lambda: Poiseuille(1.0, 0.0), "`half_width` must be positive"),
+    "NaN shear rate": (lambda: Shear(NAN), "`rate` must be finite"),
+    "infinite extension": (lambda: Extension(np.inf), "`rate` must be finite, but it holds inf"),
+    "NaN frequency": (lambda: OscillatingShear(1.0, NAN), "`angular_frequency` must be finite"),
+    "frozen joints in space": (
+        lambda: run(SPATIAL, scene=model(constraints=[Gears(), FrozenJoints()])),
+        "`state` must be planar for FrozenJoints, but it is three-dimensional",
+    ),
+}
+
+STEPS = {
+    "unsorted times": (
+        lambda: run(ts=[0, 0.2, 0.1]),
+        "`ts` must increase from entry to entry, but entry 2 (0.1) does not exceed entry 1 (0.2)",
+    ),
+    "a time twice": (
+        lambda: rollout(model(), START, [0, 0.1, 0.1]),
+        "`ts` must increase from entry to entry, but entry 2 (0.1) does not exceed entry 1 (0.1)",
+    ),
+    "one time": (lambda: run(ts=[0.0]), "`ts` must be a sequence of at least two times"),
+    "a number as times": (lambda: run(ts=1.0), "`ts` must be a sequence of at least two times"),
+    "NaN times": (
+        lambda: run(ts=[0, NAN, 1]),
+        "`ts` must be finite, but it holds nan at index [1]",
+    ),
+    "uneven times": (
+        lambda: run(ts=[0, 0.1, 0.3]),
+        "`ts` must be evenly spaced for AB3, whose steps are equal, but its intervals range from 0.1",
+    ),
+    "no substeps": (lambda: run(substeps=0), "`substeps` must be at least 1, but it is 0"),
+    "2.5 substeps": (lambda: run(substeps=2.5), "`substeps` must be a whole number, but it is 2.5"),
+    "True substeps": (
+        lambda: run(substeps=True),
+        "`substeps` must be a whole number, but it is True",
+    ),
+    "controller and substeps": (
+        lambda: run(solver=diffrax.Tsit5(), controller=PID, substeps=3),
+        "`substeps` must be None when a controller chooses the steps, but it is 3",
+    ),
+    "controller for AB3": (
+        lambda: rollout(model(), START, TIMES, controller=PID),
+        "`controller` must be None for AB3, whose steps are equal, but one is given",
+    ),
+    "name as solver": (
+        lambda: run(solver="AB3"),
+        "`solver` must be a diffrax solver object, as AB3(), but it is 'AB3'",
+    ),
+    "class as solver": (
+        lambda: run(solver=AB3),
+        "`solver` must be a diffrax solver object, as AB3()",
+    ),
+    "no max_steps": (lambda: run(max_steps=0), "`max_steps` must be at least 1, but it is 0"),
+    "nothing to take a step from": (
+        lambda: run_force(Weight([0, 1])),
+        "`substeps` must be given, but it is None and the scene has no bending rigidity",
+    ),
+    "substeps from a traced scene": (
+        lambda: jax.eval_shape(lambda mu: rollout(model(viscosity=mu), START, TIMES), 1.0),
+        "`substeps` must be given when the scene or the times are traced, but it is None",
+    ),
+}
+
+SCENES = {
+    "shear of 2 beads": (lambda: scenes.shear(2), "`beads` must be at least 3, but it is 2"),
+    "negative bending ratio": (
+        lambda: scenes.shear(5, -0.1),
+        "`bending_ratio` must be positive, but its smallest value is -0.1",
+    ),
+    "jeffery of 1 bead": (lambda: scenes.jeffery(1), "`beads` must be at least 2, but it is 1"),
+    "jeffery of 2.5 beads": (lambda: scenes.jeffery(2.5), "`beads` must be a whole number"),
+    "settling of 2 beads": (lambda: scenes.settling(2), "`beads` must be at least 3, but it is 2"),
+    "settling with B = 0": (
+        lambda: scenes.settling(5, 0.0),
+        "`elasto_gravitational` must be positive",
+    ),
+    "relaxation mode too large": (
+        lambda: scenes.relaxation(5, 4),
+        "`mode` must be at most 3 (beads - 2), but it is 4",
+    ),
+    "relaxation mode 0": (
+        lambda: scenes.relaxation(5, 0),
+        "`mode` must be at least 1, but it is 0",
+    ),
+}
+
+CASES = CHAINS | STATES | TERMS | STEPS | SCENES
+
+
+@pytest.mark.parametrize("call, says", CASES.values(), ids=CASES)
+def test_bad_input_is_refused_in_one_sentence(call, says, untraced):
+    with pytest.raises(ValueError, match=re.escape(says)) as caught:
+        call()
+    sentence(caught.value)
+
+
+@pytest.mark.parametrize("go", [lambda: run(), lambda: rollout(model(), START, TIMES)])
+def test_good_input_gets_as_far_as_tracing(go, untraced):
+    # Otherwise the test above would not show that bad input is refused earlier.
+    with pytest.raises(AssertionError, match="not refused in time"):
+        go()
+
+
+def test_what_is_traced_passes():
+    # Values are not known while tracing, so nothing can be said of them, not even nonsense.
+    def build(x):
+        chain = Chain(x, 5)
+        state = straight(chain, jnp.stack([x, x, x]), jnp.stack([x, x, x]))
+        flow = LinearFlow(x * jnp.eye(3))
+        scene = model(chain, x, forces=[Bending(x, x), Weight([x, x, x])], flow=flow)
+        check(scene, state, overlap=False)
+        return from_tangents(chain, x * jnp.ones((4, 2)))
+
+    assert jax.eval_shape(build, jnp.asarray(-1.0)).shape == (5, 2)
+
+
+def test_overlap_is_allowed_unless_refused():
+    chain = Chain(1.0, (2, 3))
+    check(model(chain), straight(chain, [1, 0], [[0, 0], [3, 1.5]]))
+
+
+def test_a_trace_that_is_rounding_passes():
+    flow = LinearFlow(np.diag([0.1, 0.2, -0.3]).astype(np.float32) * 1e5)
+    assert float(jnp.trace(flow.matrix)) != 0
+    check(model(flow=flow), SPATIAL)
+
+
+def test_single_precision_runs_when_asked_for():
+    solution = run(single(START), scene=single(model()), single_precision=True)
+    assert solution.states.position.dtype == jnp.float32
+    assert np.all(np.isfinite(solution.states.position)) and len(solution.ts) == len(TIMES)
+
+
+def test_redundant_constraints_are_named():
+    with pytest.raises(SimulationError, match=r"Gears \+ Gears.*redundant") as caught:
+        run(scene=model(constraints=[Gears(), Gears()]))
+    assert caught.value.cause.term == "Gears + Gears" and caught.value.cause.step == 0
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "where, why",
+    [
+        ("", "Is a directory"),
+        ("none/run.h5", "No such file or directory"),
+        ("text/run.h5", "Not a directory"),
+    ],
+)
+def test_a_file_that_cannot_be_written(where, why, tmp_path, unrun):
+    (tmp_path / "text").write_text("no folder")
+    path = tmp_path / where
+    says = f"`file` must be a path that can be written, but {path} is not: {why}."
+    with pytest.raises(ValueError, match=re.escape(says)) as caught:
+        run(file=path)
+    sentence(caught.value)
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    path = tmp_path_factory.mktemp("run") / "run.h5"
+    run(file=path, until=lambda solution: len(solution.ts) > 2, substeps=1)
+    assert len(load(path).ts) == 3
+    return path
+
+
+def cut(path):
+    path.write_bytes(path.read_bytes()[:-1000])
+
+
+def scramble(path):
+    data = path.read_bytes()
+    path.write_bytes(data[:2000] + bytes(4000) + data[6000:])
+
+
+def replace(path):
+    path.unlink()
+    with h5py.File(path, "w") as handle:
+        handle["x"] = 1.0
+
+
+def without(name):
+    def delete(path):
+        with h5py.File(path, "r+") as handle:
+            if name in handle.attrs:
+                del handle.attrs[name]
+            else:
+                del handle[name]
+
+    return delete
+
+
+def shorten(path):
+    with h5py.File(path, "r+") as handle:
+        handle["position"].resize(2, axis=0)
+
+
+DAMAGE = {
+    "missing": (lambda path: path.unlink(), "must name a trajectory file, but .* does not exist"),
+    "text": (lambda path: path.write_text("hello\n"), "cannot be read: file signature not found"),
+    "truncated": (cut, "must be a trajectory file, but .* cannot be read: truncated file"),
+    "scrambled": (scramble, "must be (whole|a trajectory file)"),
+    "another HDF5 file": (
+        replace,
+        "must be a trajectory file of format 1, but .* lacks .*position",
+    ),
+    "another format": (without("format"), "of format 1, but .* lacks its format mark"),
+    "no checkpoint": (without("checkpoint"), "must be whole, but .* lacks checkpoint/0"),
+    "part of the checkpoint": (without("checkpoint/1"), "but .* lacks checkpoint/1"),
+    "no residuals": (without("residual"), "must be a trajectory file .* lacks residual"),
+    "no number of steps": (without("steps"), "must be whole, but .* is damaged: a part"),
+    "a state too few": (shorten, "must hold whole states at its planned times"),
+}
+
+
+@pytest.mark.parametrize("damage, says", DAMAGE.values(), ids=DAMAGE)
+def test_a_file_that_cannot_be_continued(damage, says, written, tmp_path, unrun):
+    path = shutil.copy(written, tmp_path / "copy.h5")
+    damage(path)
+    with pytest.raises(ValueError, match=says) as caught:
+        resume(path, model(), substeps=1, progress=False)
+    assert sentence(caught.value).startswith("Argument `file`") and str(path) in str(caught.value)
+
+
+OTHERS = {
+    "rigidity": ({"forces": [Bending(11.0)]}, {}, r"one of its numbers is \[11.\] and was \[10.\]"),
+    "viscosity": ({"viscosity": 2.0}, {}, r"one of its numbers is \[2.\] and was \[1.\]"),
+    "law": ({"forces": [Bending(10.0, 0.0, SineRuleCurvature())]}, {}, "its terms differ"),
+    "another force": ({"forces": [Bending(10.0), Weight([0, 1])]}, {}, "its terms differ"),
+    "no flow": ({"flow": None}, {}, "its terms differ"),
+    "beads": ({"chain": Chain(1.0, 6)}, {}, "its terms differ"),
+    "solver": ({}, {"solver": diffrax.Heun()}, "its terms differ"),
+    "substeps": ({}, {"substeps": 7}, "its terms differ"),
+}
+
+
+@pytest.mark.parametrize("terms, options, says", OTHERS.values(), ids=OTHERS)
+def test_a_file_of_another_run_is_not_continued(terms, options, says, written, tmp_path, unrun):
+    path = shutil.copy(written, tmp_path / "copy.h5")
+    with pytest.raises(
+        ValueError, match=f"`scene` must be the scene .*written, but {says}"
+    ) as caught:
+        resume(path, model(**terms), progress=False, **{"substeps": 1} | options)
+    sentence(caught.value)
+    resumed = load(path)  # and the file is as it was
+    assert len(resumed.ts) == 3
+
+
+@pytest.mark.parametrize(
+    "words, says",
+    [
+        (
+            "jeffery --beads 4 --solver nonsense",
+            "`--solver` must be AB3 or .* but it is 'nonsense'",
+        ),
+        ("jeffery --beads 4 --solver Euler", "`--solver` must be AB3 or the name of an adaptive"),
+        ("jeffery --beads 4 --solver HalfSolver", "`--solver` must be AB3 or .* 'HalfSolver'"),
+        ("jeffery --beads 4 --solver KenCarp4", "`--solver` must be AB3 or .* 'KenCarp4'"),
+        (
+            "jeffery --beads 4 --out text",
+            "`--out` must be a folder .*, but text is not: File exists",
+        ),
+        ("jeffery --beads 4 --out text/in", "`--out` must be a folder .*: Not a directory"),
+        ("shear --beads 2", "`beads` must be at least 3, but it is 2"),
+        ("relaxation --beads 5 --mode 9", "`mode` must be at most 3"),
+        ("settling --elasto-gravitational -1", "`elasto_gravitational` must be positive"),
+    ],
+)
+def test_the_shell_says_it_too(words, says, capsys, tmp_path, monkeypatch, untraced):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "text").write_text("no folder")
+    assert main(words.split()) == 1
+    printed = capsys.readouterr()
+    assert re.search(says, sentence(printed.err.rstrip("\n"))) and not printed.out

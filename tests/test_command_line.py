@@ -1,0 +1,129 @@
+"""The shell: every scene, its results as JSON, its files, and its exit codes."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import jaxbeads
+from jaxbeads.__main__ import main
+from jaxbeads.scenes import SCENES
+
+RUN = {"wall_s", "compile_s", "steps", "constraint_residual", "bond_length_error"}
+# Options with which a scene is quick (a stiff fibre is steady soon), and its observables.
+QUICK = {
+    "jeffery": ("--beads 4", {"period"}),
+    "shear": ("--beads 5 --bending-ratio 0.1", {"min_radius"}),
+    "settling": (
+        "--beads 4 --elasto-gravitational 0.1",
+        {"deflection", "friction_ratio", "tilt"},
+    ),
+    "relaxation": ("--beads 5 --mode 2", {"rate"}),
+}
+
+
+@pytest.fixture
+def shell(capsys):
+    """Run a command that must succeed: the printed lines, and the JSON object in the last one."""
+
+    def run(words):
+        assert main([*words.split(), "--json"]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        return lines, json.loads(lines[-1])
+
+    return run
+
+
+def test_without_arguments_scenes_are_listed(capsys):
+    assert main([]) == 0
+    _, *lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == [ready.name for ready in SCENES]
+    assert all(ready.summary in line for ready, line in zip(SCENES, lines, strict=True))
+
+
+@pytest.mark.parametrize("ready", SCENES, ids=lambda ready: ready.name)
+def test_results_as_json(ready, shell):
+    options, observables = QUICK[ready.name]
+    lines, results = shell(f"{ready.name} {options}")
+    assert set(results) == observables | RUN
+    assert all(np.isfinite(value) for value in results.values())
+    assert results["steps"] > 0 and results["wall_s"] > 0 and results["compile_s"] >= 0
+    assert results["constraint_residual"] < 1e-12 and results["bond_length_error"] < 0.01
+    for name in observables:  # for people, too
+        (line,) = (line for line in lines[:-1] if line.split()[0] == name)
+        assert np.isclose(float(line.split()[1]), results[name], rtol=1e-5)
+    # The same run from Python.
+    words = options.split()
+    values = {
+        k.lstrip("-").replace("-", "_"): v for k, v in zip(words[::2], words[1::2], strict=True)
+    }
+    case = ready.build(**{name: json.loads(value) for name, value in values.items()})
+    expected = ready.observables(case, case.simulate(progress=False))
+    assert expected == {name: results[name] for name in observables}
+
+
+def test_settling_of_a_stiff_fibre(shell):
+    # For small B the deflection is proportional to B and the friction that of the rigid fibre.
+    _, results = shell("settling " + QUICK["settling"][0])
+    assert abs(results["friction_ratio"] - 1) < 1e-3
+    assert 1e-5 < results["deflection"] < 1e-3
+
+
+def test_solvers_agree(shell):
+    periods = [
+        shell(f"jeffery --beads 4 --solver {name}")[1]["period"] for name in ("ab3", "Tsit5")
+    ]
+    assert abs(periods[0] / periods[1] - 1) < 1e-4
+    assert periods[0] != periods[1]  # they were two solvers
+
+
+def test_out_writes_pictures_movie_and_trajectory(shell, tmp_path):
+    folder = tmp_path / "new" / "folder"
+    lines, results = shell(f"jeffery --beads 4 --out {folder}")
+    names = ["jeffery.gif", "jeffery.h5", "jeffery_curvature.png"]
+    names += ["jeffery_observable.png", "jeffery_shapes.png"]
+    assert sorted(path.name for path in folder.iterdir()) == names
+    assert all(any(f"wrote {folder / name}" in line for line in lines) for name in names)
+    solution = jaxbeads.load(folder / "jeffery.h5")
+    assert solution.status == "finished" and int(solution.steps) == results["steps"]
+    assert solution.states.position.shape == (len(solution.ts), 4, 2)
+    for name in names:
+        if name.endswith((".png", ".gif")):
+            with Image.open(folder / name) as picture:
+                picture.load()
+                assert min(picture.size) > 100
+                assert name.endswith("png") or picture.n_frames == 90
+
+
+def test_unknown_solver_is_one_sentence(capsys):
+    assert main(["jeffery", "--beads", "4", "--solver", "magic"]) == 1
+    printed = capsys.readouterr()
+    assert printed.out == "" and printed.err.count("\n") == 1
+    assert printed.err.startswith("Argument `--solver` must be AB3 or the name of an adaptive")
+    assert printed.err.endswith("but it is 'magic'.\n")
+
+
+@pytest.mark.parametrize("words", ["nothing", "jeffery --beads few", "jeffery --sheep 4"])
+def test_words_that_mean_nothing(words, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(words.split())
+    assert stop.value.code == 2
+    assert words.split()[-2 if "--sheep" in words else -1] in capsys.readouterr().err
+
+
+def test_as_a_module():
+    def run(*words):
+        command = [sys.executable, "-m", "jaxbeads", *words]
+        root = Path(jaxbeads.__file__).parents[1]
+        return subprocess.run(command, cwd=root, capture_output=True, text=True)
+
+    listed = run()
+    assert listed.returncode == 0 and not listed.stderr
+    assert all(f"  {ready.name} " in listed.stdout for ready in SCENES)
+    refused = run("shear", "--beads", "2")
+    assert refused.returncode == 1 and not refused.stdout
+    assert refused.stderr == "Argument `beads` must be at least 3, but it is 2.\n"

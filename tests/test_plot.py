@@ -1,0 +1,207 @@
+"""Pictures: what is drawn, where and in which units."""
+
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+from cases import bent, scene
+from matplotlib.collections import LineCollection, QuadMesh
+from matplotlib.figure import Figure
+from PIL import Image
+
+import jaxbeads
+from jaxbeads import Chain, plot, rollout, straight
+
+TIMES = np.linspace(0.0, 1.2, 7)
+CHAINS = {"planar": Chain(1.0, 6), "spatial": Chain(1.0, 6), "two fibres": Chain(1.0, (4, 2))}
+
+
+@cache
+def trajectory(name):
+    chain, dim = CHAINS[name], 3 if name == "spatial" else 2
+    centre = 5.0 * np.arange(len(chain.fibres))[:, None] * np.eye(dim)[1]
+    return rollout(scene(chain, dim), bent(chain, dim, centre=centre), TIMES, substeps=1)
+
+
+@pytest.fixture(params=CHAINS)
+def case(request):
+    return trajectory(request.param), CHAINS[request.param]
+
+
+def lines(ax):
+    return [c for c in ax.collections if isinstance(c, LineCollection)]
+
+
+def labels(ax):
+    return ax.get_xlabel(), ax.get_ylabel()
+
+
+def test_shapes_are_the_centre_lines(case):
+    solution, chain = case
+    figure = plot.shapes(solution, chain, number=3)
+    ax, bar = figure.axes
+    assert labels(ax) == ("$x/L$", "$y/L$") and bar.get_ylabel() == "time $t$"
+    assert ax.get_aspect() == 1  # a circle is a circle
+    drawn = lines(ax)
+    assert len(drawn) == 3
+    position = np.asarray(solution.states.position)[..., :2] / float(chain.length[0])
+    for k, line in ((0, drawn[0]), (-1, drawn[-1])):
+        fibres = line.get_segments()
+        assert [len(fibre) for fibre in fibres] == list(chain.fibres)
+        assert np.allclose(np.concatenate(fibres), position[k], rtol=0, atol=1e-12)
+    first, last = (line.get_color()[0] for line in (drawn[0], drawn[-1]))
+    assert not np.allclose(first, last)
+
+
+def test_no_more_shapes_than_there_are_times():
+    figure = plot.shapes(trajectory("planar"), CHAINS["planar"], number=50)
+    assert len(lines(figure.axes[0])) == len(TIMES)
+
+
+def test_view_moves_turns_and_stretches():
+    solution, chain = trajectory("spatial"), CHAINS["spatial"]
+    view = plot.View(co_moving=True, plane=(0, 2), stretch=20.0)
+    ax = plot.shapes(solution, chain, number=2, view=view).axes[0]
+    assert labels(ax) == ("$(x - x_c)/L$", r"$20\,(z - z_c)/L$")
+    final = np.asarray(solution.final.position) / float(chain.length[0])
+    expected = (final - final.mean(axis=0))[:, [0, 2]] * [1.0, 20.0]
+    assert np.allclose(lines(ax)[-1].get_segments()[0], expected, rtol=0, atol=1e-12)
+
+
+def test_observable_draws_the_values():
+    values = np.sin(TIMES)
+    figure = plot.observable(TIMES, values, "angle [rad]")
+    (ax,) = figure.axes
+    (line,) = ax.lines
+    assert labels(ax) == ("time $t$", "angle [rad]")
+    assert np.array_equal(line.get_xdata(), TIMES) and np.array_equal(line.get_ydata(), values)
+    ax = plot.observable(TIMES, values, "angle", time_label=r"$\dot\gamma t$").axes[0]
+    assert ax.get_xlabel() == r"$\dot\gamma t$"
+
+
+def curvature(position, length):
+    """Independent of `observables`: sine of the turning angle over the bond length."""
+    bond = np.diff(position, axis=1)
+    before, after = bond[:, :-1], bond[:, 1:]
+    if position.shape[2] == 2:
+        sine = before[..., 0] * after[..., 1] - before[..., 1] * after[..., 0]
+    else:
+        sine = np.linalg.norm(np.cross(before, after), axis=-1)
+    sizes = np.linalg.norm(before, axis=-1) * np.linalg.norm(after, axis=-1)
+    return sine / sizes / 2.0 * length
+
+
+def test_kymograph_shows_curvature_times_length(case):
+    solution, chain = case
+    beads, dim = chain.fibres[0], solution.states.position.shape[2]
+    figure = plot.kymograph(solution, chain)
+    ax, bar = figure.axes
+    assert labels(ax) == ("time $t$", "arclength $s/L$")
+    assert bar.get_ylabel() == r"curvature $\kappa L$"
+    (image,) = (c for c in ax.collections if isinstance(c, QuadMesh))
+    values = np.asarray(image.get_array()).reshape(beads - 2, len(TIMES))
+    position = np.asarray(solution.states.position)[:, :beads]
+    expected = curvature(position, 2.0 * beads)
+    assert np.abs(expected).max() > 0.1
+    assert np.allclose(values, expected.T, rtol=0, atol=1e-12)
+    # White is straight in the plane; in space the curvature has no sign.
+    low, high = image.get_clim()
+    assert high == np.abs(values).max() and low == (-high if dim == 2 else 0.0)
+
+
+@pytest.mark.parametrize(
+    "draw",
+    [
+        lambda solution, chain, axes: plot.shapes(solution, chain, axes=axes),
+        lambda solution, chain, axes: plot.observable(TIMES, TIMES, "$t$", axes=axes),
+        lambda solution, chain, axes: plot.kymograph(solution, chain, axes=axes),
+    ],
+    ids=["shapes", "observable", "kymograph"],
+)
+def test_into_axes_of_ones_own_and_to_a_file(draw, case, tmp_path):
+    solution, chain = case
+    figure = Figure()
+    axes = figure.add_subplot(2, 1, 1)
+    assert draw(solution, chain, axes) is figure
+    assert axes.get_xlabel() and axes.has_data()
+    figure.savefig(tmp_path / "figure.png")
+    with Image.open(tmp_path / "figure.png") as image:
+        assert image.size == (640, 480)
+
+
+@pytest.mark.parametrize("frames, written", [(4, 4), (1, 1), (90, len(TIMES))])
+def test_movie_has_the_frames_asked_for(frames, written, case, tmp_path):
+    solution, chain = case
+    path = plot.movie(solution, chain, str(tmp_path / "movie.gif"), frames=frames, seconds=2.0)
+    assert path == tmp_path / "movie.gif"
+    with Image.open(path) as movie:
+        assert movie.format == "GIF" and getattr(movie, "n_frames", 1) == written
+        if written > 1:
+            assert abs(movie.info["duration"] * written - 2000) < 10 * written  # in 1/100 s
+
+
+def test_movie_shows_whole_beads_to_scale(tmp_path):
+    # A row of 6 touching beads is 6 times as long as high, and fills pi/4 of that rectangle.
+    chain = Chain(1.0, 6)
+    state = straight(chain, [1.0, 0.0])
+    still = eqx.tree_at(lambda s: s.states.position, trajectory("planar"), state.position[None])
+    path = plot.movie(still, chain, tmp_path / "still.gif", frames=1)
+    with Image.open(path) as movie:
+        pixels = np.asarray(movie.convert("RGB")).astype(int)
+    coloured = np.ptp(pixels, axis=2) > 40  # letters and axes are grey
+    width, height = (np.ptp(np.nonzero(coloured.any(axis=k))[0]) + 1 for k in (0, 1))
+    assert abs(width / height - 6) < 0.2
+    assert abs(coloured.sum() / (width * height) - np.pi / 4) < 0.03
+
+
+@pytest.mark.parametrize(
+    "call, says",
+    [
+        (lambda s, c, d: plot.movie(s, c, d / "none" / "a.gif", frames=2), "No such file or dir"),
+        (lambda s, c, d: plot.movie(s, c, d / "a.mp4"), "`path` must end in .gif, but it is"),
+        (lambda s, c, d: plot.movie(s, c, d / "a.gif", frames=0), "`frames` must be at least 1"),
+        (lambda s, c, d: plot.shapes(s, c, number=0), "`number` must be at least 1"),
+        (
+            lambda s, c, d: plot.shapes(s, c, view=plot.View(plane=(0, 2))),
+            "name two of the 2 coord",
+        ),
+        (
+            lambda s, c, d: plot.shapes(s, c, view=plot.View(plane=(1, 1))),
+            "name two of the 2 coord",
+        ),
+        (lambda s, c, d: plot.shapes(s, Chain(1.0, 5)), "`chain` must have the solution's 6 beads"),
+        (lambda s, c, d: plot.kymograph(s, Chain(1.0, 5)), "`chain` must have the solution's 6"),
+        (
+            lambda s, c, d: plot.kymograph(s, Chain(1.0, (2, 4))),
+            "at least three beads in its first",
+        ),
+    ],
+)
+def test_what_cannot_be_drawn(call, says, tmp_path):
+    with pytest.raises(ValueError, match=says) as caught:
+        call(trajectory("planar"), CHAINS["planar"], tmp_path)
+    assert str(caught.value).startswith("Argument `") and "\n" not in str(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_single_state_can_be_drawn(case, tmp_path):
+    # As in the solution of a run that broke down in its first step.
+    solution, chain = case
+    single = jax.tree.map(lambda x: x[:1] if np.ndim(x) else x, solution)
+    assert len(lines(plot.shapes(single, chain).axes[0])) == 1
+    plot.kymograph(single, chain).savefig(tmp_path / "kymograph.png")
+    plot.movie(single, chain, tmp_path / "movie.gif")
+
+
+def test_matplotlib_is_imported_on_demand():
+    code = "import sys, jaxbeads; print('matplotlib' in sys.modules); import jaxbeads.plot"
+    root = Path(jaxbeads.__file__).parents[1]
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == ["False"]
