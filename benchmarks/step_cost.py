@@ -1,0 +1,146 @@
+"""Time of one velocity evaluation against LAPACK's Cholesky factor + solve of the same matrix.
+
+    python benchmarks/step_cost.py [--quick] [--json]
+
+The scene is a settling Gears fibre (weight, bending, RPY with rotation), slightly bent. A velocity
+evaluation is everything that a time step needs once: mobility, loads, S = J M J^T, multipliers,
+velocities. It is timed inside a compiled loop, as in a run. The floor is `dpotrf` + `dpotrs` through
+SciPy on the very S of that configuration: no method that factorises S can be faster. Both are measured
+in turns, in one run; medians are reported. The error is that of the velocities against a dense
+elimination of the saddle-point system in NumPy; memory is what the compiled evaluation needs beside
+its arguments.
+"""
+
+import argparse
+import json
+import statistics
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.linalg.lapack as lapack
+from jax import lax
+
+import jaxbeads as jb
+from jaxbeads import dynamics
+from jaxbeads.constraint import Gears
+from jaxbeads.force import Bending, Weight
+
+jax.config.update("jax_enable_x64", True)
+
+
+def fibre(beads: int, dim: int) -> tuple[jb.Scene, jb.State]:
+    """A settling fibre bent to an S of about half a radian."""
+    chain = jb.Chain(1.0, beads)
+    angle = 0.5 * np.sin(2 * np.pi * np.linspace(0, 1, beads - 1))
+    tangents = np.stack([np.cos(angle), np.sin(angle), 0.3 * np.cos(2 * angle)], axis=1)[:, :dim]
+    scene = jb.Scene(
+        chain,
+        1.0,
+        constraints=[Gears()],
+        forces=[Weight(-np.eye(dim)[1]), Bending(float(beads))],
+    )
+    return scene, jb.State(jb.from_tangents(chain, tangents))
+
+
+def dense_velocity(scene: jb.Scene, state: jb.State) -> np.ndarray:
+    """Reference: the saddle-point system (M, J) as full matrices, in NumPy."""
+    beads, dim = state.position.shape
+    turns = 1 if dim == 2 else 3
+    t = jnp.zeros(())
+
+    def pack(motion: jb.Motion) -> jax.Array:
+        return jnp.concatenate([x.ravel() for x in jax.tree.leaves(motion)])
+
+    def unpack(x: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return x[: beads * dim].reshape(beads, dim), x[beads * dim :].reshape(beads, turns)
+
+    operator = scene.mobility.operator(state.position, scene.chain.radius, scene.viscosity, True)
+    size = beads * (dim + turns)
+    mobility = np.asarray(
+        jax.vmap(lambda u: pack(operator.motion(jb.Load(*unpack(u)))))(jnp.eye(size))
+    )
+    (constraint,) = scene.constraints
+    jacobian = np.asarray(
+        jax.jacfwd(lambda x: constraint.slip(t, state, jb.Motion(*unpack(x)), scene.chain).ravel())(
+            jnp.zeros(size)
+        )
+    )
+    load = dynamics.applied_load(t, state, scene)
+    force = np.concatenate([np.ravel(load.force), np.ravel(load.torque)])
+    free = mobility.T @ force
+    multipliers = np.linalg.solve(jacobian @ mobility @ jacobian.T, -jacobian @ free)
+    return (free + mobility @ jacobian.T @ multipliers)[: beads * dim].reshape(beads, dim)
+
+
+def seconds(function, *arguments) -> float:
+    start = time.perf_counter()
+    jax.block_until_ready(function(*arguments))
+    return time.perf_counter() - start
+
+
+def measure(beads: int, dim: int, rounds: int) -> dict[str, float]:
+    scene, state = fibre(beads, dim)
+    loops = max(3, int(4e5 / beads**2))
+
+    @jax.jit
+    def evaluations(state: jb.State, scene: jb.Scene) -> jb.State:
+        def body(_: int, state: jb.State) -> jb.State:
+            velocity = dynamics.motion(0.0, state, scene).velocity
+            return jb.State(state.position + 1e-12 * velocity)
+
+        return lax.fori_loop(0, loops, body, state)
+
+    single = jax.jit(lambda state, scene: dynamics.motion(0.0, state, scene).velocity)
+    start = time.perf_counter()
+    compiled = single.lower(state, scene).compile()
+    compile_s = time.perf_counter() - start
+    matrix = np.asfortranarray(dynamics.constraint_matrix(0.0, state, scene))
+    right = np.random.default_rng(0).normal(size=len(matrix))
+
+    def floor() -> None:
+        for _ in range(loops):
+            factor, _ = lapack.dpotrf(matrix, lower=1, clean=0)
+            lapack.dpotrs(factor, right, lower=1)
+
+    evaluations(state, scene), floor()  # warm
+    ours, theirs = [], []
+    for _ in range(rounds):
+        theirs.append(seconds(floor) / loops)
+        ours.append(seconds(evaluations, state, scene) / loops)
+    reference = dense_velocity(scene, state)
+    error = np.abs(single(state, scene) - reference).max() / np.abs(reference).max()
+    memory = compiled.memory_analysis().temp_size_in_bytes
+    evaluation, lowest = statistics.median(ours), statistics.median(theirs)
+    return {
+        "evaluation_us": 1e6 * evaluation,
+        "floor_us": 1e6 * lowest,
+        "ratio": evaluation / lowest,
+        "error": float(error),
+        "memory_mib": memory / 2**20,
+        "compile_s": compile_s,
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="N = 34 and 100 only, fewer rounds")
+    parser.add_argument(
+        "--json", action="store_true", help="print one JSON object as the last line"
+    )
+    arguments = parser.parse_args()
+    sizes, rounds = ((34, 100), 11) if arguments.quick else ((15, 34, 100, 300), 21)
+    columns = ("evaluation_us", "floor_us", "ratio", "error", "memory_mib", "compile_s")
+    print(f"{'scene':<14}" + "".join(f"{c:>16}" for c in columns))
+    results = {}
+    for dim, kind in ((2, "planar"), (3, "spatial")):
+        for beads in sizes:
+            row = results[f"{kind}-{beads}"] = measure(beads, dim, rounds)
+            print(f"{kind}-{beads:<7}" + "".join(f"{row[c]:16.3g}" for c in columns), flush=True)
+    if arguments.json:
+        print(json.dumps(results))
+
+
+if __name__ == "__main__":
+    main()
