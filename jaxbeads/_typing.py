@@ -14,7 +14,11 @@ def float_array(value: Any) -> jax.Array:
     """
     if isinstance(value, (int, float)):
         return jnp.asarray(value, dtype=float)  # with a dtype, or its type would be a weak one
-    array = jnp.asarray(value)
+    try:
+        array = jnp.asarray(value)
+    except (TypeError, ValueError):
+        message = f"A number or an array of numbers is needed, but {value!r} was given."
+        raise ValueError(message) from None
     return array if jnp.issubdtype(array.dtype, jnp.floating) else array.astype(float)
 
 
@@ -29,5 +33,7 @@ def leaf_function(function: Any) -> Any:
     Callables that are pytrees already (an `equinox.Module`, a `jax.tree_util.Partial`) stay as they
     are, with their leaves.
     """
+    if not callable(function):
+        raise ValueError(f"Argument `function` must be a function, but it is {function!r}.")
     plain = jax.tree.structure(function) == jax.tree.structure(0)
     return jax.tree_util.Partial(function) if plain else function

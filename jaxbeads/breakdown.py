@@ -64,7 +64,7 @@ def guilty_term(t: float, state: State, scene: Scene) -> tuple[str, str]:
     ambient = ambient_motion(t, state, scene)
     if ambient is not None and not np.all(np.isfinite(ambient.velocity)):
         return type(scene.flow).__name__, "its velocity is not finite"
-    if scene.constraints:
+    if scene.constraints and scene.chain.beads > 1:
         matrix = np.asarray(constraint_matrix(t, state, scene))
         names = " + ".join(type(c).__name__ for c in scene.constraints)
         if not np.all(np.isfinite(matrix)):

@@ -190,7 +190,7 @@ def constraint_residual(t: Time, state: State, scene: Scene) -> Float[Array, ""]
     moved = motion(t, state, scene)
     slip = _slips(t, state, scene)(moved)
     scale = jnp.max(jnp.abs(moved.velocity))
-    return jnp.linalg.norm(slip) / (slip.shape[0] * jnp.where(scale == 0, 1.0, scale))
+    return jnp.linalg.norm(slip) / (max(slip.shape[0], 1) * jnp.where(scale == 0, 1.0, scale))
 
 
 def rate(t: Time, state: State, scene: Scene) -> State:

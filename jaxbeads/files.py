@@ -186,22 +186,27 @@ def batch_state(position: jax.Array, director: jax.Array | None) -> State:
     return jax.tree.unflatten(tree, [x for x in (position, director) if x is not None])
 
 
-def reopen(
-    path: str | Path, scene: Scene, stepper: Stepper, carry: Carry
-) -> tuple[TrajectoryFile, Carry]:
+def compare(path: str | Path, scene: Scene, stepper: Stepper) -> None:
+    """Check that a file was written with this scene and this solver, to the last number.
+
+    **Raises** `ValueError` if not.
+    """
+    with _readable(path), _open(path, "r") as handle:
+        if handle.attrs.get("model") != _model(scene, stepper):
+            must = "the scene and solver with which the file was written"
+            raise ValueError(f"Argument `scene` must be {must}, but its terms differ.")
+        _restore(handle, "scene", (scene, stepper), path, same=True)
+
+
+def reopen(path: str | Path, carry: Carry) -> tuple[TrajectoryFile, Carry]:
     """Open a file to continue its run.
 
-    **Arguments**: the path; scene and stepper, which must equal those of the run; `carry` of the same
-    structure as the run's. **Returns** the file and the carry to go on from. **Raises** `ValueError`
-    (`DamagedFile`) if anything does not fit.
+    **Arguments**: the path; `carry` of the same structure as the run's. **Returns** the file and the
+    carry to go on from. **Raises** `ValueError` (`DamagedFile`) if anything does not fit.
     """
     handle = _open(path, "r+")
     try:
         with _readable(path):
-            if handle.attrs.get("model") != _model(scene, stepper):
-                must = "the scene and solver with which the file was written"
-                raise ValueError(f"Argument `scene` must be {must}, but its terms differ.")
-            _restore(handle, "scene", (scene, stepper), path, same=True)
             carry = _restore(handle, "checkpoint", carry, path, same=False)
             ts, done = np.asarray(handle["ts"]), np.asarray(handle["t"])
             lengths = {len(np.asarray(handle[name])) for name in _COLUMNS}

@@ -10,7 +10,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ._checks import fail, increasing, known, whole
+from ._checks import fail, increasing, kind, known, whole
 from ._typing import float_array
 from .constraint import AbstractChainConstraint
 from .dynamics import constraint_residual
@@ -81,8 +81,13 @@ def stepper_for(
     if controller is not None:
         if substeps is not None:
             fail("substeps", "be None when a controller chooses the steps", f"it is {substeps}")
+        kind("controller", controller, diffrax.AbstractStepSizeController)
         if isinstance(solver, AB3):
             fail("controller", "be None for AB3, whose steps are equal", "one is given")
+        if not isinstance(solver, diffrax.AbstractAdaptiveSolver):
+            fail(
+                "solver", "estimate its error for a controller", f"{type(solver).__name__} does not"
+            )
         return AdaptiveSteps(_with_tolerances(solver, controller), controller, max_steps, projected)
     if isinstance(solver, diffrax.AbstractImplicitSolver) and _missing(solver):
         must = "be given with an implicit solver, whose root finder takes its tolerances from it"

@@ -10,15 +10,14 @@ from typing import Any, NoReturn
 import diffrax
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from tqdm.auto import tqdm
 
-from ._checks import increasing
+from ._checks import described, fail, increasing, positive, whole
 from ._typing import float_array
-from .breakdown import SimulationError, explain, locate
-from .files import TrajectoryFile, load, planned_times, reopen
+from .breakdown import SimulationError, bond_error, explain, locate
+from .files import TrajectoryFile, compare, load, planned_times, reopen
 from .rollout import Solution, Stepper, advance, diagnostics, stepper_for
 from .scene import Scene, check
 from .solver import AB3, FixedSteps, bending_step
@@ -121,16 +120,22 @@ def simulate(
     increasing("ts", ts)
     times = float_array(ts).astype(state.position.dtype)
     stepper = stepper_for(scene, times, solver, substeps, controller, projected, max_steps)
+    run = _Run(scene, stepper, times, bond_tolerance, until, chunk, progress)
+    error, bond = bond_error(scene, state)
+    if error > bond_tolerance:
+        must = "hold neighbours at touching distance"
+        fail("state", must, f"beads {bond} and {bond + 1} are off it by {100 * error:.3g} %")
     _warn_of_large_step(scene, stepper, times)
-    carry = _init(stepper, scene, state, times[0], times[1])
-    first = _part(scene, times[:1], jax.tree.map(lambda x: x[None], state), carry)
-    if not np.all(np.asarray(first.residual) <= RESIDUAL_TOLERANCE):
-        raise SimulationError(explain(scene, state, float(times[0]), 0, None), first)
-    target = None if file is None else TrajectoryFile.create(file, scene, stepper, times, state)
-    if target is not None:
-        target.append(first, carry)
-    run = _Run(scene, stepper, times, bond_tolerance, until, chunk, progress, target)
-    return run.go(carry, first, 0, clock)
+    if file is not None:
+        run.target = TrajectoryFile.create(file, scene, stepper, times, state)
+    with run:
+        carry = _init(stepper, scene, state, times[0], times[1])
+        first = _part(scene, times[:1], jax.tree.map(lambda x: x[None], state), carry)
+        if not np.all(np.asarray(first.residual) <= RESIDUAL_TOLERANCE):
+            raise SimulationError(explain(scene, state, float(times[0]), 0, None), first)
+        if run.target is not None:
+            run.target.append(first, carry)
+        return run.go(carry, first, 0, clock)
 
 
 def resume(
@@ -158,11 +163,13 @@ def resume(
     last = load(file)
     times = planned_times(file)
     stepper = stepper_for(scene, times, solver, substeps, controller, projected, max_steps)
+    run = _Run(scene, stepper, times, bond_tolerance, until, chunk, progress)
+    compare(file, scene, stepper)
     like = _init(stepper, scene, last.final, times[0], times[1])
-    target, carry = reopen(file, scene, stepper, like)
-    first = _part(scene, last.ts[-1:], jax.tree.map(lambda x: x[-1:], last.states), carry)
-    run = _Run(scene, stepper, times, bond_tolerance, until, chunk, progress, target)
-    return run.go(carry, first, len(last.ts) - 1, clock)
+    run.target, carry = reopen(file, like)
+    with run:
+        first = _part(scene, last.ts[-1:], jax.tree.map(lambda x: x[-1:], last.states), carry)
+        return run.go(carry, first, len(last.ts) - 1, clock)
 
 
 def _part(scene: Scene, ts: Float[Array, " times"], states: State, carry: Carry) -> Solution:
@@ -191,7 +198,21 @@ class _Run:
     until: Callable[[Solution], bool] | None
     chunk: int | None
     progress: bool
-    target: TrajectoryFile | None
+    target: TrajectoryFile | None = None
+
+    def __post_init__(self) -> None:
+        positive("bond_tolerance", self.bond_tolerance)
+        if self.chunk is not None:
+            whole("chunk", self.chunk, 1)
+        if self.until is not None and not callable(self.until):
+            fail("until", "be a function of the solution so far", f"it is {described(self.until)}")
+
+    def __enter__(self) -> "_Run":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.target is not None:
+            self.target.close()
 
     def go(self, carry: Carry, first: Solution, done: int, clock: _Clock) -> Solution:
         """From interval number `done` to the end."""
@@ -211,9 +232,6 @@ class _Run:
         except KeyboardInterrupt:
             status = "interrupted"
             warnings.warn(f"The run was interrupted at t = {parts[-1].ts[-1]:g}.", stacklevel=3)
-        finally:
-            if self.target is not None:
-                self.target.close()
         return _join(parts, status, clock)
 
     def advance(
@@ -251,7 +269,7 @@ def _join(parts: list[Solution], status: str, clock: _Clock) -> Solution:
     def column(get: Callable[[Solution], Any]) -> Any:
         # By numpy: JAX would compile a new program for every number of parts.
         return jax.tree.map(
-            lambda *x: jnp.asarray(np.concatenate([np.asarray(y) for y in x])),
+            lambda *x: jax.device_put(np.concatenate([np.asarray(y) for y in x])),
             *(get(part) for part in parts),
         )
 

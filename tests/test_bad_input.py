@@ -31,7 +31,7 @@ from jaxbeads import (
 from jaxbeads.__main__ import main
 from jaxbeads.constraint import FrozenJoints, Gears
 from jaxbeads.flow import Extension, LinearFlow, OscillatingShear, Poiseuille, Shear
-from jaxbeads.force import Bending, BendingEnergy, SineRuleCurvature, Weight
+from jaxbeads.force import Bending, BendingEnergy, ForceField, SineRuleCurvature, Weight
 from jaxbeads.mobility import RPY
 
 NAN = float("nan")
@@ -372,7 +372,40 @@ SCENES = {
     ),
 }
 
-CASES = CHAINS | STATES | TERMS | STEPS | SCENES
+OPTIONS = {
+    "chunk of 0": (lambda: run(chunk=0), "`chunk` must be at least 1, but it is 0"),
+    "until a number": (lambda: run(until=3), "`until` must be a function"),
+    "negative bond tolerance": (
+        lambda: run(bond_tolerance=-1.0),
+        "`bond_tolerance` must be positive",
+    ),
+    "bonds of wrong length": (
+        lambda: run(State(1.1 * START.position)),
+        "`state` must hold neighbours at touching distance, but beads 0 and 1 are off it by 10 %",
+    ),
+    "controller a string": (
+        lambda: run(solver=diffrax.Tsit5(), controller="pid"),
+        "`controller` must be",
+    ),
+    "controller for Euler": (
+        lambda: run(solver=diffrax.Euler(), controller=PID),
+        "`solver` must estimate its error for a controller, but Euler does not",
+    ),
+    "implicit solver without controller": (
+        lambda: run(solver=diffrax.Kvaerno3(), substeps=3),
+        "`controller` must be given with an implicit solver",
+    ),
+    "two shear rates": (lambda: Shear([1.0, 2.0]), "`rate` must have shape ()"),
+    "NaN phase": (lambda: OscillatingShear(1.0, 1.0, NAN), "`phase` must be finite"),
+    "force that is no function": (lambda: ForceField(None), "`function` must be a function"),
+    "law a string": (lambda: Bending(1.0, 0.0, "sine"), "`law` must be"),
+    "no shear": (lambda: scenes.jeffery(5, shear_rate=0.0), "`shear_rate` must be positive"),
+    "large amplitude": (
+        lambda: scenes.relaxation(6, 1, amplitude=0.5),
+        "`amplitude` must be small (at most 0.01)",
+    ),
+}
+CASES = OPTIONS | CHAINS | STATES | TERMS | STEPS | SCENES
 
 
 @pytest.mark.parametrize("call, says", CASES.values(), ids=CASES)
@@ -559,3 +592,16 @@ def test_the_shell_says_it_too(words, says, capsys, tmp_path, monkeypatch, untra
     assert main(words.split()) == 1
     printed = capsys.readouterr()
     assert re.search(says, sentence(printed.err.rstrip("\n"))) and not printed.out
+
+
+def test_one_bead_with_gears_runs():
+    # There is nothing to constrain, which is no fault.
+    lone = Scene(Chain(1.0, 1), 1.0, constraints=[Gears()], forces=[Weight([0.0, -6 * np.pi])])
+    end = run(State([[0.0, 0.0]]), scene=lone, substeps=1).final.position
+    assert np.allclose(end, [[0.0, -0.8]])
+
+
+def test_what_is_not_a_number_is_said():
+    for wrong in (None, "one", [[1.0], [1.0, 2.0]]):
+        with pytest.raises(ValueError, match="A number or an array of numbers is needed"):
+            Chain(wrong, 5)

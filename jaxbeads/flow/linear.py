@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._checks import fail, finite
+from .._checks import fail, finite, shape
 from .._typing import float_array
 from .base import AbstractLinearFlow
 
@@ -17,6 +17,7 @@ class Shear(AbstractLinearFlow):
     rate: Float[Array, ""] = eqx.field(converter=float_array)
 
     def __check_init__(self) -> None:
+        shape("rate", self.rate, ())
         finite("rate", self.rate)
 
     def gradient(self, t: Float[Array, ""], dim: int) -> Float[Array, "dim dim"]:
@@ -35,8 +36,12 @@ class OscillatingShear(AbstractLinearFlow):
     phase: Float[Array, ""] = eqx.field(converter=float_array, default=0.0)
 
     def __check_init__(self) -> None:
+        shape("rate", self.rate, ())
         finite("rate", self.rate)
+        shape("angular_frequency", self.angular_frequency, ())
         finite("angular_frequency", self.angular_frequency)
+        shape("phase", self.phase, ())
+        finite("phase", self.phase)
 
     def gradient(self, t: Float[Array, ""], dim: int) -> Float[Array, "dim dim"]:
         """The present rate at entry (x, y)."""
@@ -50,6 +55,7 @@ class Extension(AbstractLinearFlow):
     rate: Float[Array, ""] = eqx.field(converter=float_array)
 
     def __check_init__(self) -> None:
+        shape("rate", self.rate, ())
         finite("rate", self.rate)
 
     def gradient(self, t: Float[Array, ""], dim: int) -> Float[Array, "dim dim"]:

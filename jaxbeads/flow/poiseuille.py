@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._checks import finite, positive
+from .._checks import finite, positive, shape
 from .._typing import float_array
 from .base import AbstractFlow
 
@@ -19,6 +19,8 @@ class Poiseuille(AbstractFlow):
     half_width: Float[Array, ""] = eqx.field(converter=float_array)
 
     def __check_init__(self) -> None:
+        shape("speed", self.speed, ())
+        shape("half_width", self.half_width, ())
         finite("speed", self.speed)
         positive("half_width", self.half_width)
 

@@ -11,7 +11,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._checks import fail, finite, non_negative
+from .._checks import fail, finite, kind, non_negative
 from .._typing import float_array
 from ..chain import Chain
 from ..geometry import cross, tangents, turning_angles, unit
@@ -117,6 +117,7 @@ class Bending(AbstractForce):
         self.law = law
 
     def __check_init__(self) -> None:
+        kind("law", self.law, AbstractCurvatureLaw)
         _check(self.rigidity, self.intrinsic_curvature, spatial=True)
 
     def moments(self, state: State, chain: Chain) -> Float[Array, "joints spins"]:
@@ -167,6 +168,7 @@ class BendingEnergy(AbstractPotential):
         self.law = law
 
     def __check_init__(self) -> None:
+        kind("law", self.law, AbstractCurvatureLaw)
         _check(self.rigidity, self.intrinsic_curvature, spatial=False)
 
     def energy(self, t: Float[Array, ""], state: State, chain: Chain) -> Float[Array, ""]:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .._checks import whole
+from .._checks import positive, whole
 from ..chain import Chain, straight
 from ..constraint import FrozenJoints, Gears
 from ..flow import Shear
@@ -22,6 +22,7 @@ def jeffery(
     (0.01 / shear rate). **Arguments**: number of beads (at least 2), a [length], mu, shear rate.
     """
     whole("beads", beads, 2)
+    positive("shear_rate", shear_rate)
     chain = Chain(radius, beads)
     constraints = (Gears(), FrozenJoints()) if beads > 2 else (Gears(),)
     scene = Scene(chain, viscosity, constraints=constraints, flow=Shear(shear_rate))

@@ -52,6 +52,9 @@ def relaxation(
     if mode > beads - 2:
         fail("mode", f"be at most {beads - 2} (beads - 2)", f"it is {mode}")
     positive("rigidity", rigidity)
+    positive("amplitude", amplitude)
+    if amplitude > 0.01:
+        fail("amplitude", "be small (at most 0.01), for a linear decay", f"it is {amplitude:g}")
     chain = Chain(radius, beads)
     scene = Scene(chain, viscosity, constraints=[Gears()], forces=[Bending(rigidity)])
     rates, shapes = _modes(scene)

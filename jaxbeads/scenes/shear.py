@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .._checks import positive, whole
+from .._checks import finite, positive, whole
 from ..chain import Chain, straight
 from ..constraint import Gears
 from ..flow import Shear
@@ -33,7 +33,14 @@ def shear(
     shear rate.
     """
     whole("beads", beads, 3)
-    positive("bending_ratio", bending_ratio)
+    finite("intrinsic_curvature", intrinsic_curvature)
+    for name, value in (
+        ("bending_ratio", bending_ratio),
+        ("radius", radius),
+        ("viscosity", viscosity),
+        ("shear_rate", shear_rate),
+    ):
+        positive(name, value)
     chain = Chain(radius, beads)
     rigidity = rigidity_from_bending_ratio(bending_ratio, radius, beads, viscosity, shear_rate)
     bending = Bending(rigidity, intrinsic_curvature / chain.length[0])
