@@ -1,6 +1,8 @@
 """float64, shape checks on every function of the package, and no silent broadcasting of ranks."""
 
+import equinox as eqx
 import jax
+import pytest
 from jaxtyping import install_import_hook
 
 jax.config.update("jax_enable_x64", True)
@@ -14,3 +16,11 @@ with install_import_hook("jaxbeads", "beartype.beartype"):
 def pytest_collection_modifyitems(items):
     """Cheap tests first: those marked slow go to the end."""
     items.sort(key=lambda item: item.get_closest_marker("slow") is not None)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def forget_compiled_programs():
+    """Each compiled program holds memory maps, of which a process may have 65 530."""
+    yield
+    eqx.clear_caches()
+    jax.clear_caches()
