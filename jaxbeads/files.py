@@ -2,10 +2,13 @@
 
 Layout: `t` (times), `position` (times, beads, dim), `director` where there is one, `residual`,
 `bond_length_error`; `ts` (all planned times); group `scene` (every number of the model and solver);
-group `checkpoint` (all that the next step depends on). Attributes: `format`, `versions`, `model`.
+groups `checkpoint/0` and `checkpoint/1` (all that the next step depends on, written in turns); `mark`
+(which of the two is whole, how many states belong to it, steps so far), written last in one piece: what
+lies beyond it is the rest of an interrupted write. Attributes: `format`, `versions`, `model`.
 """
 
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -24,6 +27,7 @@ from .state import State
 
 FORMAT = 1
 _COLUMNS = ("t", "position", "residual", "bond_length_error")
+_OPTIONAL = "director"
 
 
 def _leaves(tree: Any) -> list[np.ndarray]:
@@ -33,7 +37,7 @@ def _leaves(tree: Any) -> list[np.ndarray]:
 def _model(scene: Scene, stepper: Stepper) -> str:
     """The structure of scene and solver without the numbers, as text."""
     blank = jax.tree.map(lambda x: 0 if eqx.is_array(x) else x, (scene, stepper))
-    return repr(blank)
+    return re.sub(r" at 0x[0-9a-f]+", "", repr(blank))  # a function's address is not its name
 
 
 class DamagedFile(ValueError):
@@ -103,10 +107,17 @@ class TrajectoryFile:
                 chunks=True,
                 dtype=first.dtype,
             )
+        handle["mark"] = np.zeros(3, np.int64)
         return cls(handle)
 
     def append(self, part: Solution, carry: Carry) -> None:
-        """Add the times of `part` and replace the checkpoint."""
+        """Add the times of `part` and the checkpoint that belongs to them.
+
+        The new checkpoint takes the place of the last but one, and counts only once the mark says so:
+        an interrupt at any place leaves the file as it was before, or as it is after.
+        """
+        mark: Any = self.handle["mark"]
+        slot, done, _ = (int(x) for x in mark[:])
         columns = {
             "t": part.ts,
             "position": part.states.position,
@@ -117,13 +128,13 @@ class TrajectoryFile:
         for name, values in columns.items():
             if values is not None:
                 data: Any = self.handle[name]
-                data.resize(data.shape[0] + len(values), axis=0)
-                data[-len(values) :] = np.asarray(values)
-        if "checkpoint" in self.handle:
-            del self.handle["checkpoint"]
+                data.resize(done + len(values), axis=0)
+                data[done:] = np.asarray(values)
+        group = self.handle.require_group(f"checkpoint/{1 - slot}")
         for index, leaf in enumerate(_leaves(carry)):
-            self.handle[f"checkpoint/{index}"] = leaf
-        self.handle.attrs["steps"] = int(carry.steps)
+            group.require_dataset(str(index), leaf.shape, leaf.dtype)[...] = leaf
+        self.handle.flush()
+        mark[:] = (1 - slot, done + len(part.ts), int(carry.steps))
         self.handle.flush()
 
 
@@ -137,7 +148,7 @@ def _open(path: str | Path, mode: str) -> h5py.File:
             f"Argument `file` must be a trajectory file, but {path} cannot be read: "
             f"{_reason(error)}."
         ) from None
-    missing = {"ts", *_COLUMNS} - set(handle)
+    missing = {"ts", "mark", *_COLUMNS} - set(handle)
     if missing or handle.attrs.get("format") != FORMAT:
         handle.close()
         raise DamagedFile(
@@ -153,24 +164,32 @@ def load(path: str | Path) -> Solution:
     **Raises** `ValueError` (`DamagedFile`) if it is not there or not readable.
     """
     with _readable(path), _open(path, "r") as handle:
-
-        def column(name: str) -> jax.Array | None:
-            return jnp.asarray(np.asarray(handle[name])) if name in handle else None
-
-        ts, position = column("t"), column("position")
-        if ts is None or position is None or len(ts) == 0:
-            raise DamagedFile(f"Argument `file` must hold a trajectory, but {path} holds no state.")
-        planned = np.asarray(handle["ts"])
-        status = "finished" if len(planned) == len(ts) else "unfinished"
+        _, done, steps = (int(x) for x in np.asarray(handle["mark"]))
+        planned, stored = np.asarray(handle["ts"]), _whole_columns(handle, path, done)
+        ts, position, residual, error = (jnp.asarray(stored[name]) for name in _COLUMNS)
+        director = jnp.asarray(stored[_OPTIONAL]) if _OPTIONAL in stored else None
         return Solution(
             ts,
-            batch_state(position, column("director")),
-            jnp.asarray(int(handle.attrs["steps"])),  # pyright: ignore[reportArgumentType]
+            batch_state(position, director),
+            jnp.asarray(steps),
             jnp.zeros((), int),
-            column("residual"),
-            column("bond_length_error"),
-            status=status,
+            residual,
+            error,
+            status="finished" if len(planned) == done else "unfinished",
         )
+
+
+def _whole_columns(handle: h5py.File, path: str | Path, done: int) -> dict[str, np.ndarray]:
+    """The states that the mark vouches for."""
+    names = [*_COLUMNS, *({_OPTIONAL} & set(handle))]
+    columns = {name: np.asarray(handle[name]) for name in names}
+    short = min(len(column) for column in columns.values())
+    times = np.asarray(handle["ts"])[:done]
+    if done == 0 or short < done or not np.array_equal(columns["t"][:done], times):
+        raise DamagedFile(
+            f"Argument `file` must hold whole states at its planned times, but {path} does not."
+        )
+    return {name: column[:done] for name, column in columns.items()}
 
 
 def planned_times(path: str | Path) -> jax.Array:
@@ -207,13 +226,9 @@ def reopen(path: str | Path, carry: Carry) -> tuple[TrajectoryFile, Carry]:
     handle = _open(path, "r+")
     try:
         with _readable(path):
-            carry = _restore(handle, "checkpoint", carry, path, same=False)
-            ts, done = np.asarray(handle["ts"]), np.asarray(handle["t"])
-            lengths = {len(np.asarray(handle[name])) for name in _COLUMNS}
-        if len(lengths) != 1 or not np.array_equal(done, ts[: len(done)]) or len(done) == 0:
-            raise DamagedFile(
-                f"Argument `file` must hold whole states at its planned times, but {path} does not."
-            )
+            slot, done, _ = (int(x) for x in np.asarray(handle["mark"]))
+            _whole_columns(handle, path, done)
+            carry = _restore(handle, f"checkpoint/{slot}", carry, path, same=False)
     except BaseException:
         handle.close()
         raise

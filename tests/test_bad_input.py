@@ -525,10 +525,10 @@ DAMAGE = {
         "must be a trajectory file of format 1, but .* lacks .*position",
     ),
     "another format": (without("format"), "of format 1, but .* lacks its format mark"),
-    "no checkpoint": (without("checkpoint"), "must be whole, but .* lacks checkpoint/0"),
+    "no checkpoint": (without("checkpoint"), "must be whole, but .* lacks checkpoint/./0"),
     "part of the checkpoint": (without("checkpoint/1"), "but .* lacks checkpoint/1"),
     "no residuals": (without("residual"), "must be a trajectory file .* lacks residual"),
-    "no number of steps": (without("steps"), "must be whole, but .* is damaged: a part"),
+    "no mark": (without("mark"), "must be a trajectory file .* lacks mark"),
     "a state too few": (shorten, "must hold whole states at its planned times"),
 }
 

@@ -170,3 +170,31 @@ def test_versions_are_stored(tmp_path):
     with h5py.File(path) as handle:
         assert handle.attrs["format"] == jaxbeads.files.FORMAT
         assert jax.__version__ in handle.attrs["versions"]
+
+
+@pytest.mark.parametrize("place", ["columns", "checkpoint"])
+def test_an_interrupt_in_the_middle_of_a_write(place, tmp_path, monkeypatch):
+    # States without their checkpoint, or half a checkpoint: the file is as it was before the write.
+    path, state = tmp_path / "run.h5", bent(CHAIN)
+    whole = simulate(model(), state, TIMES, substeps=5, progress=False)
+    leaves, calls = jaxbeads.files._leaves, []
+
+    def interrupted(tree):
+        calls.append(1)
+        if len(calls) < 6:
+            return leaves(tree)
+        if place == "checkpoint":
+            tree = [*leaves(tree)[:1], None]
+            return (leaf for leaf in tree if leaf is not None or raise_interrupt())
+        raise KeyboardInterrupt
+
+    def raise_interrupt():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(jaxbeads.files, "_leaves", interrupted)
+    with pytest.warns(UserWarning, match="interrupted"):
+        simulate(model(), state, TIMES, substeps=5, progress=False, file=path, chunk=1)
+    monkeypatch.undo()
+    assert 1 < len(load(path).ts) < 13
+    resume(path, model(), substeps=5, progress=False)
+    assert bits(load(path)) == bits(whole)
