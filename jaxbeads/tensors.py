@@ -108,15 +108,17 @@ def _equal(s: _Separation, a: Array) -> _Scalars:
     y = jnp.minimum(ix, 0.5)  # 1/x of separate spheres; bounded where the other branch holds
     y2, y3 = y * y, y * y * y
     near = x <= 2
-    m, q = 1 / (6 * np.pi * a), 1 / (8 * np.pi * a**3)
-    tr = q * jnp.where(near, 0.5 - 3 * x / 16, y3)
+    # Divided, not multiplied by the inverse: see `rpy`. (In the plane rr1 meets no sum before the next
+    # division, and XLA would merge the two into a product.)
+    six, eight = 6 * np.pi * a, 8 * np.pi * a**3
+    tr = jnp.where(near, 0.5 - 3 * x / 16, y3) / eight
     return _Scalars(
-        tt1=m * jnp.where(near, 1 - 9 * x / 32, 0.75 * y + 0.5 * y3),
-        tt2=m / a**2 * jnp.where(near, 3 * ix / 32, (0.75 - 1.5 * y2) * y3),
+        tt1=jnp.where(near, 1 - 9 * x / 32, 0.75 * y + 0.5 * y3) / six,
+        tt2=jnp.where(near, 3 * ix / 32, (0.75 - 1.5 * y2) * y3) / (six * a**2),
         tr=tr,
         rt=tr,
-        rr1=q * jnp.where(near, 1 - 27 * x / 32 + 5 * x * x * x / 64, -0.5 * y3),
-        rr2=q / a**2 * jnp.where(near, 9 * ix / 32 - 3 * x / 64, 1.5 * y2 * y3),
+        rr1=1 / eight * jnp.where(near, 1 - 27 * x / 32 + 5 * x * x * x / 64, -0.5 * y3),
+        rr2=jnp.where(near, 9 * ix / 32 - 3 * x / 64, 1.5 * y2 * y3) / (eight * a**2),
     )
 
 
