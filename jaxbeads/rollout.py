@@ -129,7 +129,7 @@ def _with_tolerances(
 
 
 def advance(
-    stepper: Stepper, scene: Scene, carry: Carry, ts: Float[Array, " times"]
+    stepper: Stepper, scene: Scene, carry: Carry, ts: Float[Array | np.ndarray, " times"]
 ) -> tuple[Carry, State]:
     """From ts[0] to ts[-1]; returns the carry there and the states at ts[1:]."""
 

@@ -238,9 +238,14 @@ class _Run:
         self, carry: Carry, done: int, count: int, parts: list[Solution], clock: _Clock
     ) -> tuple[Carry, Solution]:
         """One chunk, checked and written."""
-        ts = self.ts[done : done + count + 1]
-        after, states = _advance(self.stepper, self.scene, carry, ts)
-        part = _part(self.scene, ts[1:], states, after)
+        # One compiled program for one interval: in loops of other lengths XLA rounds differently, and
+        # a run would depend on its chunks.
+        ts, after, each = np.asarray(self.ts), carry, []
+        for index in range(done, done + count):
+            after, state = _advance(self.stepper, self.scene, after, ts[index : index + 2])
+            each.append(state)
+        states = _concatenate(each)
+        part = _part(self.scene, jax.device_put(ts[done + 1 : done + count + 1]), states, after)
         fine = np.isfinite(np.asarray(states.position)).all(axis=(1, 2))
         fine &= np.asarray(part.bond_length_error) <= self.bond_tolerance
         fine &= np.asarray(part.residual) <= RESIDUAL_TOLERANCE
@@ -255,9 +260,9 @@ class _Run:
     ) -> NoReturn:
         """Keep the `good` intervals of the chunk that are fine, then raise the error."""
         for index in range(done, done + good):
-            span = self.ts[index : index + 2]
+            span = np.asarray(self.ts)[index : index + 2]
             carry, states = _advance(self.stepper, self.scene, carry, span)
-            parts.append(_part(self.scene, span[1:], states, carry))
+            parts.append(_part(self.scene, jax.device_put(span[1:]), states, carry))
             if self.target is not None:
                 self.target.append(parts[-1], carry)
         t0, t1 = (float(t) for t in self.ts[done + good : done + good + 2])
@@ -265,13 +270,16 @@ class _Run:
         raise SimulationError(cause, _join(parts, "broken down", clock))
 
 
+def _concatenate(trees: list[Any]) -> Any:
+    # By numpy: JAX would compile a new program for every number of parts.
+    return jax.tree.map(
+        lambda *x: jax.device_put(np.concatenate([np.asarray(y) for y in x])), *trees
+    )
+
+
 def _join(parts: list[Solution], status: str, clock: _Clock) -> Solution:
     def column(get: Callable[[Solution], Any]) -> Any:
-        # By numpy: JAX would compile a new program for every number of parts.
-        return jax.tree.map(
-            lambda *x: jax.device_put(np.concatenate([np.asarray(y) for y in x])),
-            *(get(part) for part in parts),
-        )
+        return _concatenate([get(part) for part in parts])
 
     wall, compiling = clock.read()
     return Solution(
