@@ -1,5 +1,7 @@
 """float64, shape checks on every function of the package, and no silent broadcasting of ranks."""
 
+import importlib
+
 import equinox as eqx
 import jax
 import pytest
@@ -9,8 +11,7 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 with install_import_hook("jaxbeads", "beartype.beartype"):
-    import jaxbeads
-    import jaxbeads.plot  # noqa: F401
+    importlib.import_module("jaxbeads.plot")
 
 
 def pytest_collection_modifyitems(items):
