@@ -20,7 +20,7 @@ import jax; jax.config.update("jax_enable_x64", True)
 import numpy as np
 import jaxbeads as jb
 case = jb.scenes.settling()
-step = float(jb.solver.bending_step(case.scene))
+step = float(jb.solver.explicit_step(case.scene))
 run = jb.simulate(case.scene, case.state, np.arange(11) * 100 * step, substeps=100, progress=False)
 print(time.perf_counter() - t)
 """

@@ -5,6 +5,7 @@ Pure functions of equinox Modules that only hold parameters: build a `Scene`, gi
 Plouraboué, J. Comput. Phys. 286 (2015) 14-37.
 """
 
+from . import actuation as actuation
 from . import constraint as constraint
 from . import dynamics as dynamics
 from . import flow as flow
@@ -18,6 +19,7 @@ from . import solver as solver
 from . import tensors as tensors
 from .breakdown import SimulationError as SimulationError
 from .chain import Chain as Chain
+from .chain import from_directors as from_directors
 from .chain import from_tangents as from_tangents
 from .chain import straight as straight
 from .files import load as load

@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from .constraint import AbstractChainConstraint
-from .dynamics import ambient_motion, constraint_matrix
+from .dynamics import ambient_motion, redundancy
 from .rollout import Solution, Stepper
 from .scene import Scene
-from .solver import FixedSteps, bending_step
+from .solver import FixedSteps, explicit_step
 from .solver.stepping import Carry
 from .state import Load, State
 
@@ -64,15 +64,8 @@ def guilty_term(t: float, state: State, scene: Scene) -> tuple[str, str]:
     ambient = ambient_motion(t, state, scene)
     if ambient is not None and not np.all(np.isfinite(ambient.velocity)):
         return type(scene.flow).__name__, "its velocity is not finite"
-    if scene.constraints and scene.chain.beads > 1:
-        matrix = np.asarray(constraint_matrix(t, state, scene))
-        names = " + ".join(type(c).__name__ for c in scene.constraints)
-        if not np.all(np.isfinite(matrix)):
-            return names, "the matrix J M J^T is not finite"
-        values = np.linalg.eigvalsh(matrix)
-        if values[0] <= 1e-13 * values[-1]:
-            how = f"J M J^T is singular (eigenvalues {values[0]:.1e} to {values[-1]:.1e})"
-            return names, f"{how}: constraints are redundant or contradict one another"
+    if (how := redundancy(t, state, scene)) is not None:
+        return " + ".join(type(c).__name__ for c in scene.constraints), how
     return (largest, f"it has the largest load, {size:.3g}") if largest else ("time step", "")
 
 
@@ -113,7 +106,7 @@ def explain(
 
 def step_advice(scene: Scene, step: float) -> str:
     """What the time step has to do with it."""
-    limit = float(bending_step(scene))
+    limit = float(explicit_step(scene))
     if not np.isfinite(limit):
         return f" The time step was {step:.3g}; try more `substeps`."
     return (

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._checks import fail, finite, non_zero, positive, shape, whole
+from ._checks import fail, finite, non_negative, non_zero, positive, shape, whole
 from ._typing import float_array
 from .geometry import unit
 from .state import State
@@ -25,15 +25,20 @@ class Chain(eqx.Module):
 
     - `radius`: bead radius a [length], one for all or one per bead.
     - `fibres`: number of beads of the fibre, or a sequence with the number of each fibre.
+    - `gap`: distance eps_g of each bead's surface from the link to its neighbour [length]; 0 for beads
+      that touch. Neighbours are 2 (a + eps_g) apart.
 
-    **Raises** `ValueError` for a radius that is not positive or does not fit the number of beads.
+    **Raises** `ValueError` for a radius that is not positive or does not fit the number of beads, and
+    for a negative gap.
     """
 
     radius: Float[Array, ""] | Float[Array, " beads"] = eqx.field(converter=float_array)
+    gap: Float[Array, ""] = eqx.field(converter=float_array)
     fibres: tuple[int, ...] = eqx.field(static=True)
 
-    def __init__(self, radius: Any, fibres: int | Sequence[int]) -> None:
+    def __init__(self, radius: Any, fibres: int | Sequence[int], gap: Any = 0.0) -> None:
         self.radius = float_array(radius)
+        self.gap = float_array(gap)
         several = isinstance(fibres, (Sequence, np.ndarray))
         numbers = tuple(fibres) if several else (fibres,)
         if not numbers:
@@ -45,6 +50,8 @@ class Chain(eqx.Module):
     def __check_init__(self) -> None:
         shape("radius", self.radius, (), (self.beads,))
         positive("radius", self.radius)
+        shape("gap", self.gap, ())
+        non_negative("gap", self.gap)
 
     @property
     def beads(self) -> int:
@@ -73,15 +80,27 @@ class Chain(eqx.Module):
         return jnp.broadcast_to(self.radius, (self.beads,))
 
     @property
+    def reach(self) -> Float[Array, " beads"]:
+        """Distance a_i + eps_g of each bead's centre from the links to its neighbours [length]."""
+        return jnp.broadcast_to(self.radius + self.gap, (self.beads,))
+
+    @property
     def bond_length(self) -> Float[Array, " bonds"]:
-        """Distance a_i + a_{i+1} of touching neighbours [length]."""
-        return self.radii[:-1] + self.radii[1:]
+        """Distance a_i + a_{i+1} + 2 eps_g of neighbours in a straight fibre [length]."""
+        return self.reach[:-1] + self.reach[1:]
 
     @property
     def length(self) -> Float[Array, " fibres"]:
-        """Contour length of each fibre, the sum of its beads' diameters (2 a N) [length]."""
+        """Contour length of each fibre, the sum of 2 (a_i + eps_g), so 2 a N if beads touch [length]."""
         ends = np.cumsum((0, *self.fibres))
-        return jnp.stack([2 * self.radii[i:j].sum() for i, j in pairwise(ends)])
+        return jnp.stack([2 * self.reach[i:j].sum() for i, j in pairwise(ends)])
+
+    @property
+    def arclength(self) -> Float[Array, " beads"]:
+        """Arclength of each bead's centre from the first end of its fibre [length]."""
+        ends = np.cumsum((0, *self.fibres))
+        parts = (self.reach[i:j] for i, j in pairwise(ends))
+        return jnp.concatenate([jnp.cumsum(2 * part) - part for part in parts])
 
     def centres(self, position: Float[Array, "beads dim"]) -> Float[Array, "fibres dim"]:
         """Mean position of each fibre's beads."""
@@ -90,7 +109,7 @@ class Chain(eqx.Module):
 
 
 def from_tangents(chain: Chain, tangents: Any, centre: Any = None) -> Float[Array, "beads dim"]:
-    """Positions of touching beads from the directions of their bonds.
+    """Positions of beads at the chain's bond lengths, from the directions of their bonds.
 
     **Arguments**
 
@@ -117,14 +136,47 @@ def from_tangents(chain: Chain, tangents: Any, centre: Any = None) -> Float[Arra
     centre = jnp.zeros(dim) if centre is None else float_array(centre)
     shape("centre", centre, (dim,), (len(chain.fibres), dim))
     finite("centre", centre)
-    return place(chain, unit(tangents), jnp.broadcast_to(centre, (len(chain.fibres), dim)))
+    bonds = unit(tangents) * chain.bond_length[:, None]
+    return place(chain, bonds, jnp.broadcast_to(centre, (len(chain.fibres), dim)))
+
+
+def from_directors(chain: Chain, directors: Any, centre: Any = None) -> State:
+    """State of a chain of the Joint Model: each bead's director points along the fibre, and its links
+    are at the distance a_i + eps_g before and behind its centre, eq. (2).
+
+    **Arguments**
+
+    - `directors`: p_i, shape `(beads, dim)`; normalised here.
+    - `centre`: as in `from_tangents`.
+
+    **Returns** positions and directors. **Raises** `ValueError` for shapes that do not fit and for a
+    zero director.
+    """
+    directors = float_array(directors)
+    shape("directors", directors, (chain.beads, 2), (chain.beads, 3))
+    finite("directors", directors)
+    non_zero("directors", directors)
+    dim = directors.shape[1]
+    centre = jnp.zeros(dim) if centre is None else float_array(centre)
+    shape("centre", centre, (dim,), (len(chain.fibres), dim))
+    finite("centre", centre)
+    p = unit(directors)
+    bonds = linked(chain, p)
+    return State(place(chain, bonds, jnp.broadcast_to(centre, (len(chain.fibres), dim))), p)
+
+
+def linked(chain: Chain, director: Float[Array, "beads dim"]) -> Float[Array, "bonds dim"]:
+    """Vectors between neighbouring centres whose links coincide, l_i p_i + l_{i+1} p_{i+1}."""
+    arm = director * chain.reach[:, None]
+    return arm[:-1] + arm[1:]
 
 
 def place(
-    chain: Chain, tangents: Float[Array, "bonds dim"], centres: Float[Array, "fibres dim"]
+    chain: Chain, bonds: Float[Array, "bonds dim"], centres: Float[Array, "fibres dim"]
 ) -> Float[Array, "beads dim"]:
-    """As `from_tangents`, for unit tangents and one centre for each fibre, without checks."""
-    step = tangents * (chain.bond_length * chain.bond_mask)[:, None]
+    """Positions from the vectors between neighbours (those between fibres are not used) and one
+    centre for each fibre, without checks."""
+    step = bonds * chain.bond_mask[:, None]
     position = jnp.pad(jnp.cumsum(step, axis=0), ((1, 0), (0, 0)))
     return position + (centres - chain.centres(position))[chain.fibre_of_bead]
 

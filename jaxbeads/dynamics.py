@@ -10,6 +10,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
@@ -125,7 +126,7 @@ def evaluate(t: Time, state: State, scene: Scene) -> Evaluation:
     the factorisation: they reuse the factor and differentiate J M J^T lambda for fixed lambda.
 
     **Arguments**: time; `State`; `Scene`. **Returns** an `Evaluation`; its numbers are NaN if S is
-    not positive definite (redundant constraints).
+    singular to rounding (redundant or contradictory constraints, see `redundancy`).
     """
     return _evaluate(jnp.asarray(t), state, scene)
 
@@ -138,12 +139,14 @@ def _evaluate(t: Time, state: State, scene: Scene) -> Evaluation:
     if not scene.constraints:
         return Evaluation(free, jnp.zeros((0,), position.dtype))
     j = _constraints(t, state, scene)
-    factor = lax.linalg.cholesky(
-        _matrix(*lax.stop_gradient((t, state, scene, operator))), symmetrize_input=False
-    )
+    matrix = _matrix(*lax.stop_gradient((t, state, scene, operator)))
+    factor = lax.linalg.cholesky(matrix, symmetrize_input=False)
+    # A row that depends on those before it leaves a pivot of rounding size, or NaN.
+    pivot = jnp.diagonal(factor) ** 2 / jnp.diagonal(matrix)
+    regular = jnp.min(pivot) > 10 * len(pivot) * jnp.finfo(pivot.dtype).eps
 
     def solve(_: Callable[[Array], Array], rhs: Array) -> Array:
-        return jax.scipy.linalg.cho_solve((factor, True), rhs)
+        return jax.scipy.linalg.cho_solve((factor, True), jnp.where(regular, rhs, jnp.nan))
 
     multipliers = lax.custom_linear_solve(
         lambda x: j.compliance(operator, x), -j.slip(free), solve, symmetric=True
@@ -178,6 +181,42 @@ def _full_matrix(t: Time, state: State, scene: Scene) -> Array:
     )
     lower = jnp.tril(_matrix(t, state, scene, operator))
     return lower + jnp.tril(lower, -1).T
+
+
+def redundancy(t: Time, state: State, scene: Scene) -> str | None:
+    """Whether the constraints depend on one another at this instant, and which of them.
+
+    Looks at the null vectors of S, each of them a combination of rows that demands nothing new. If the
+    velocities that these rows prescribe do not agree either, no motion meets them.
+
+    **Returns** a sentence, or `None` if the constraints are independent. A host function.
+    """
+    if not scene.constraints:
+        return None
+    matrix = np.asarray(constraint_matrix(t, state, scene))
+    if not np.all(np.isfinite(matrix)):
+        return "the matrix J M J^T is not finite"
+    scale = np.sqrt(np.abs(np.diagonal(matrix)))
+    scale[scale == 0] = 1.0
+    values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
+    null = vectors[:, values < 10 * len(values) * np.finfo(matrix.dtype).eps * values[-1]]
+    if null.shape[1] == 0:
+        return None
+    null = null / scale[:, None]
+    time = jnp.asarray(t)
+    still = zero_motion(state, scene.rotational)
+    sizes = [np.size(c.slip(time, state, still, scene.chain)) for c in scene.constraints]
+    parts = np.split(np.abs(null).max(axis=1), np.cumsum(sizes)[:-1])
+    names = [
+        type(c).__name__
+        for c, part in zip(scene.constraints, parts, strict=True)
+        if part.max(initial=0.0) > 1e-6 * np.abs(null).max()
+    ]
+    offset = np.asarray(_slips(time, state, scene)(still))
+    size = np.abs(null).T @ np.abs(offset)
+    clash = np.any(np.abs(null.T @ offset) > 1e-8 * np.where(size == 0, 1.0, size))
+    how = "contradict one another" if clash else "are redundant"
+    return f"{' + '.join(names)} {how}: {null.shape[1]} of their rows depends on the others"
 
 
 def constraint_residual(t: Time, state: State, scene: Scene) -> Float[Array, ""]:

@@ -13,11 +13,18 @@ from jaxtyping import Array, Float
 from ._checks import described, fail, finite, kind, positive, shape
 from ._typing import float_array
 from .chain import Chain
-from .constraint import AbstractConstraint, FrozenJoints
+from .constraint import (
+    AbstractConstraint,
+    FrozenJoints,
+    PrescribedDirection,
+    PrescribedLengths,
+    PrescribedPosition,
+    PrescribedSpin,
+)
 from .flow import AbstractFlow, LinearFlow
-from .force import AbstractForce, Bending, BendingEnergy, Weight
+from .force import AbstractForce, Bending, BendingEnergy, JointBending, Spring, Weight
 from .mobility import RPY, AbstractMobility
-from .state import State
+from .state import State, spins
 
 
 def _terms(terms: Any) -> Any:
@@ -62,6 +69,11 @@ class Scene(eqx.Module):
         """Whether spins and torques take part, which any one term may ask for."""
         return any(term.rotational for term in (*self.constraints, *self.forces))
 
+    @property
+    def oriented(self) -> bool:
+        """Whether directors take part, which any one term may ask for."""
+        return any(term.oriented for term in (*self.constraints, *self.forces))
+
 
 def _check_kinds(name: str, terms: Any, wanted: type) -> None:
     if not isinstance(terms, tuple):
@@ -98,6 +110,10 @@ def check(
     finite("state.position", position)
     if state.director is not None and not scene.rotational:
         fail("state", "hold no directors", "no term of the scene turns beads")
+    if state.director is None and scene.oriented:
+        names = [type(t).__name__ for t in (*scene.constraints, *scene.forces) if t.oriented]
+        must = f"hold directors for {' and '.join(names)}"
+        fail("state", must, "it holds none (`from_directors` makes such a state)")
     for leaf in jax.tree.leaves(scene):
         if position.dtype == jnp.float32 and getattr(leaf, "dtype", None) == jnp.float64:
             fail("scene", "be in float32 as the state is", "it holds numbers in float64")
@@ -114,20 +130,54 @@ def check(
 
 
 def _check_terms(scene: Scene, dim: int) -> None:
-    joints, beads = max(scene.chain.beads - 2, 0), scene.chain.beads
+    beads = scene.chain.beads
+    bonds, joints = max(beads - 1, 0), max(beads - 2, 0)
     for term in scene.forces:
+        name = type(term).__name__
         if isinstance(term, Weight):
             shape("Weight.force", term.force, (dim,), (beads, dim))
-        if isinstance(term, (Bending, BendingEnergy)):
-            name, curvature = type(term).__name__, term.intrinsic_curvature
-            shape(f"{name}.rigidity", term.rigidity, (), (joints,))
-            vectors = ((joints, 3),) if dim == 3 and isinstance(term, Bending) else ()
-            shape(f"{name}.intrinsic_curvature", curvature, (), (joints,), *vectors)
-    if dim != 2 and any(isinstance(term, FrozenJoints) for term in scene.constraints):
-        fail("state", "be planar for FrozenJoints", "it is three-dimensional")
+        if isinstance(term, (Bending, BendingEnergy, JointBending)):
+            number = bonds if isinstance(term, JointBending) else joints
+            curvature = term.intrinsic_curvature
+            shape(f"{name}.rigidity", term.rigidity, (), (number,))
+            spatial = dim == 3 and not isinstance(term, BendingEnergy)
+            vectors = ((number, 3),) if spatial else ()
+            if callable(curvature):
+                along = jnp.zeros(number)
+                curvature = jax.eval_shape(curvature, jnp.zeros(()), along, along)
+            shape(f"{name}.intrinsic_curvature", curvature, (), (number,), *vectors)
+        if isinstance(term, Spring):
+            shape("Spring.stiffness", term.stiffness, (), (bonds,))
+    for term in scene.constraints:
+        _check_constraint(term, beads, dim)
     if isinstance(scene.flow, LinearFlow):
         shape("LinearFlow.matrix", scene.flow.matrix, (dim, dim))
         if dim == 3:
             trace, size = jnp.trace(scene.flow.matrix), jnp.max(jnp.abs(scene.flow.matrix))
             if not isinstance(trace, Tracer) and abs(trace) > 1e-6 * size:
                 fail("LinearFlow.matrix", "have no trace (incompressible)", f"it is {trace:g}")
+
+
+def _check_constraint(term: AbstractConstraint, beads: int, dim: int) -> None:
+    name = type(term).__name__
+    if isinstance(term, FrozenJoints) and dim != 2:
+        fail("state", "be planar for FrozenJoints", "it is three-dimensional")
+    if isinstance(term, (PrescribedPosition, PrescribedSpin)):
+        _check_index(f"{name}.bead", term.bead, beads)
+        size = (spins(dim),) if isinstance(term, PrescribedSpin) else (dim,)
+        _check_law(name, term.law, size)
+    if isinstance(term, PrescribedDirection):
+        _check_index(f"{name}.bond", term.bond, beads - 1)
+        _check_law(name, term.law, (dim,))
+    if isinstance(term, PrescribedLengths):
+        _check_law(name, term.law, (beads - 1,))
+
+
+def _check_index(name: str, index: int, number: int) -> None:
+    if not -number <= index < number:
+        fail(name, f"lie between {-number} and {number - 1}", f"it is {index}")
+
+
+def _check_law(name: str, law: Any, size: tuple[int, ...]) -> None:
+    if law is not None:
+        shape(f"{name}.law", jax.eval_shape(law, jnp.zeros(())), size)

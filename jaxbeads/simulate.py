@@ -17,10 +17,11 @@ from tqdm.auto import tqdm
 from ._checks import described, fail, increasing, positive, whole
 from ._typing import float_array
 from .breakdown import SimulationError, bond_error, explain, locate
+from .dynamics import redundancy
 from .files import TrajectoryFile, compare, load, planned_times, reopen
 from .rollout import Solution, Stepper, advance, diagnostics, stepper_for
 from .scene import Scene, check
-from .solver import AB3, FixedSteps, bending_step
+from .solver import AB3, FixedSteps, explicit_step
 from .solver.stepping import Carry
 from .state import State
 
@@ -131,6 +132,10 @@ def simulate(
     with run:
         carry = _init(stepper, scene, state, times[0], times[1])
         first = _part(scene, times[:1], jax.tree.map(lambda x: x[None], state), carry)
+        if not np.all(np.isfinite(np.asarray(first.residual))):
+            how = redundancy(float(times[0]), state, scene)
+            if how is not None:
+                fail("scene.constraints", "be independent at the start", how)
         if not np.all(np.asarray(first.residual) <= RESIDUAL_TOLERANCE):
             raise SimulationError(explain(scene, state, float(times[0]), 0, None), first)
         if run.target is not None:
@@ -178,7 +183,7 @@ def _part(scene: Scene, ts: Float[Array, " times"], states: State, carry: Carry)
 
 def _warn_of_large_step(scene: Scene, stepper: Stepper, ts: Array) -> None:
     if isinstance(stepper, FixedSteps) and isinstance(stepper.solver, AB3):
-        step, limit = float(np.max(np.diff(ts))) / stepper.substeps, float(bending_step(scene))
+        step, limit = float(np.max(np.diff(ts))) / stepper.substeps, float(explicit_step(scene))
         if step > 2.2 * limit:
             warnings.warn(
                 f"The time step {step:.3g} is {step / limit:.3g} times that of eq. (39); AB3 is stable "

@@ -15,7 +15,7 @@ from jaxbeads import AB3, Chain, Scene, dynamics, rollout, simulate, straight
 from jaxbeads.constraint import Gears
 from jaxbeads.flow import OscillatingShear
 from jaxbeads.force import Bending, BendingEnergy, Weight
-from jaxbeads.solver import bending_step
+from jaxbeads.solver import explicit_step
 
 CHAIN = Chain(1.0, 5)
 TIMES = np.linspace(0.0, 4.0, 3)
@@ -66,7 +66,7 @@ def test_drift_after_many_steps():
     # Gate T5: residual 1e-12 at each step; bond lengths to 1e-8 a after 1e5 AB3 steps at (39).
     # The settling fibre at B = 100; the drift grows with the displacement of a bead in a step.
     case = jaxbeads.scenes.settling(34, 100.0)
-    step, start = float(bending_step(case.scene)), case.state
+    step, start = float(explicit_step(case.scene)), case.state
     times = np.arange(51) * 2000 * step
     solution = simulate(case.scene, start, times, substeps=2000, progress=False)
     assert int(solution.steps) == 100_000
@@ -75,7 +75,7 @@ def test_drift_after_many_steps():
     assert np.max(each.residual) < 1e-12
     # A softer fibre drifts more; the projection removes it.
     case = jaxbeads.scenes.settling(34, 3000.0)
-    times = np.arange(11) * 1000 * float(bending_step(case.scene))
+    times = np.arange(11) * 1000 * float(explicit_step(case.scene))
     free = simulate(case.scene, case.state, times, substeps=1000, progress=False)
     kept = simulate(case.scene, case.state, times, substeps=1000, progress=False, projected=True)
     assert np.max(free.bond_length_error) > 1e-8
@@ -86,8 +86,8 @@ def test_paper_step_and_stability_limit():
     # Eq. (39), and the claim that AB3 is stable to about 2.2 times it.
     chain = Chain(0.5, 20)
     model = Scene(chain, 2.0, constraints=[Gears()], forces=[Bending(np.linspace(1.0, 3.0, 18))])
-    assert abs(float(bending_step(model)) - 2.0 / 3.0) < 1e-15
-    assert np.isinf(bending_step(Scene(chain, 1.0)))
+    assert abs(float(explicit_step(model)) - 2.0 / 3.0) < 1e-15
+    assert np.isinf(explicit_step(Scene(chain, 1.0)))
     model = Scene(Chain(1.0, 20), 1.0, constraints=[Gears()], forces=[Bending(1.0)])
     flat = straight(model.chain, [1.0, 0.0])
 
@@ -96,7 +96,7 @@ def test_paper_step_and_stability_limit():
         return dynamics.motion(0.0, moved, model).velocity[:, 1]
 
     rates = np.linalg.eigvals(jax.jit(jax.jacfwd(lateral))(jnp.zeros(20))).real
-    assert abs(-rates.min() * float(bending_step(model)) - 0.25) < 0.01
+    assert abs(-rates.min() * float(explicit_step(model)) - 0.25) < 0.01
     limit = 6 / 11 / 0.25  # AB3 is stable on the real axis to 6/11
     assert 2.1 < limit < 2.3
 

@@ -16,7 +16,7 @@ ORDER = [
     {"_typing", "_checks"},
     {"state", "geometry"},
     {"tensors"},
-    {"chain", "flow", "numbers"},
+    {"chain", "flow", "actuation", "numbers"},
     {"mobility", "constraint", "force"},
     {"scene"},
     {"dynamics"},
@@ -27,6 +27,8 @@ ORDER = [
     {"scenes", "plot"},
     {"__main__"},
 ]
+# What the files of a sub-package may import from one another.
+SHARED = {"solver": {"ab3"}, "force": {"base", "curvature"}, "scenes": {"case"}}
 RANK = {name: rank for rank, row in enumerate(ORDER) for name in row}
 
 
@@ -50,7 +52,7 @@ def test_imports_go_one_way(path):
     parts = (*path.relative_to(PACKAGE).parts[:-1], path.stem)
     for target in imported(path):
         if target[0] == parts[0] and len(parts) > 1:  # within a sub-package
-            shared = {"base", "case"} if parts[0] != "solver" else {"base", "ab3"}
+            shared = SHARED.get(parts[0], {"base"})
             assert target[1] in shared, f"{parts} imports its sibling {target}"
         else:
             assert RANK[target[0]] < RANK[parts[0]], f"{parts} imports {target}"

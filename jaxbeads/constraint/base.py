@@ -1,11 +1,16 @@
 """What a constraint is."""
 
 import abc
+from collections.abc import Callable
+from typing import ClassVar
 
 import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from ..chain import Chain
+from ..chain import Chain, place
+from ..geometry import bond_lengths, tangents
 from ..state import Motion, State
 from ..tensors import PairTensor
 
@@ -19,6 +24,8 @@ class AbstractConstraint(eqx.Module):
 
     rotational: eqx.AbstractClassVar[bool]
     """Whether `slip` reads spins."""
+    oriented: ClassVar[bool] = False
+    """Whether `slip` reads directors."""
 
     @abc.abstractmethod
     def slip(self, t: Float[Array, ""], state: State, motion: Motion, chain: Chain) -> Array:
@@ -45,3 +52,38 @@ class AbstractChainConstraint(AbstractConstraint):
     @abc.abstractmethod
     def project(self, state: State, chain: Chain) -> State:
         """The state with its bond lengths restored, directions and centres of fibres kept."""
+
+
+def bond_drift(state: State, chain: Chain) -> Float[Array, " bonds"]:
+    """Relative error of the distances of neighbours; 0 between fibres."""
+    return (bond_lengths(state.position) / chain.bond_length - 1) * chain.bond_mask
+
+
+def with_bond_lengths(state: State, chain: Chain) -> State:
+    """Beads set along the present tangents at the chain's bond lengths, centres of fibres kept."""
+    bonds = tangents(state.position) * chain.bond_length[:, None]
+    return State(place(chain, bonds, chain.centres(state.position)), state.director)
+
+
+Difference = Callable[[Array], Array]
+
+
+def ends(row: int, column: int) -> Difference:
+    """Field of beads -> field of bonds: f_i (+ or -) f_{i+1} along rows and along columns."""
+
+    def apply(f: Array) -> Array:
+        corner = f[1:, 1:] if row == column else -f[1:, 1:]
+        below = f[1:, :-1] if row == 1 else -f[1:, :-1]
+        right = f[:-1, 1:] if column == 1 else -f[:-1, 1:]
+        return f[:-1, :-1] + below + right + corner
+
+    return apply
+
+
+def regular(block: Array, mask: np.ndarray, scale: Array | None) -> Array:
+    """A block of S whose rows between two fibres are zero, but for `scale` on the diagonal if given, so
+    that S stays regular."""
+    if mask.all():
+        return block
+    block = jnp.where(mask[:, None] & mask[None, :], block, 0.0)
+    return block if scale is None else block + jnp.diag(~mask * scale)

@@ -1,19 +1,23 @@
 """Gears: neighbouring beads roll on one another without slipping."""
 
-from collections.abc import Callable
 from typing import ClassVar
 
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from ..chain import Chain, place
-from ..geometry import bond_lengths, tangents
+from ..chain import Chain
+from ..geometry import tangents
 from ..state import Motion, State
 from ..tensors import CROSS, PairTensor
-from .base import AbstractChainConstraint
-
-Difference = Callable[[Array], Array]
+from .base import (
+    AbstractChainConstraint,
+    Difference,
+    bond_drift,
+    ends,
+    regular,
+    with_bond_lengths,
+)
 
 
 class Gears(AbstractChainConstraint):
@@ -21,9 +25,10 @@ class Gears(AbstractChainConstraint):
 
         v_i + a_i w_i x e - (v_{i+1} - a_{i+1} w_{i+1} x e) = 0,  e from bead i to i + 1,
 
-    eqs (18)-(21) of Delmotte, Climent & Plouraboué (2015). It keeps the distances of neighbours,
-    turns each bond with the mean spin of its beads and leaves bending free. `slip` has shape
-    `(dim, beads - 1)`; rows between two fibres are zero.
+    eqs (18)-(21) of Delmotte, Climent & Plouraboué (2015). It keeps the distances of neighbours, turns
+    each bond with the mean spin of its beads and leaves bending free. In a chain with a gap a_i is
+    the bead's reach, radius plus gap. `slip` has shape `(dim, beads - 1)`; rows between two fibres are
+    zero.
 
     A straight chain also admits the spins w_i = (-1)^i c ("counter-rotation"), which only torques
     or an odd number of beads excite.
@@ -36,7 +41,7 @@ class Gears(AbstractChainConstraint):
         if motion.spin is None:
             raise ValueError("Argument `motion` must hold spins for Gears, but it holds none.")
         v, w, e = motion.velocity.T, motion.spin.T, tangents(state.position).T
-        dim, surface = e.shape[0], chain.radii[None, :] * w
+        dim, surface = e.shape[0], chain.reach[None, :] * w
         rows = list(v[:, :-1] - v[:, 1:])
         for i, j, k, sign in CROSS[dim]:  # w x e = -(e x w)
             rows[i] = rows[i] - sign * e[j] * (surface[k, :-1] + surface[k, 1:])
@@ -58,14 +63,15 @@ class Gears(AbstractChainConstraint):
         for i, j, k, sign in CROSS[dim]:
             lever[i][k] = -sign * e[j]
         if chain.radius.ndim == 0:  # the radius of the surface velocities goes into the lever
-            lever = [{k: chain.radius * u for k, u in row.items()} for row in lever]
-            dd, da, ad, aa = _ends(-1, -1), _ends(-1, 1), _ends(1, -1), _ends(1, 1)
+            reach = chain.radius + chain.gap
+            lever = [{k: reach * u for k, u in row.items()} for row in lever]
+            dd, da, ad, aa = ends(-1, -1), ends(-1, 1), ends(1, -1), ends(1, 1)
         else:
-            a = chain.radius
-            dd = _ends(-1, -1)
-            da = _weighted(_ends(-1, 1), None, a)
-            ad = _weighted(_ends(1, -1), a, None)
-            aa = _weighted(_ends(1, 1), a, a)
+            a = chain.reach
+            dd = ends(-1, -1)
+            da = _weighted(ends(-1, 1), None, a)
+            ad = _weighted(ends(1, -1), a, None)
+            aa = _weighted(ends(1, 1), a, a)
         scale = tensor.tt[0][0][0, 0]  # the mobility of a bead
         one = 1 + 0 * scale  # see `rpy`: a division keeps a field from being redone
         sums = [[aa(f) / one for f in row] for row in tensor.rr]
@@ -82,45 +88,29 @@ class Gears(AbstractChainConstraint):
                         block = block + rt.sign * ad(rt.field) * u[:, None]
                     for m, w in lever[j].items():
                         block = block + sums[k][m] * (u[:, None] * w[None, :])
-                if not mask.all():
-                    block = jnp.where(mask[:, None] & mask[None, :], block, 0.0)
-                    if i == j:
-                        block = block + jnp.diag(~mask * scale)
+                block = regular(block, mask, scale if i == j else None)
                 s = lax.dynamic_update_slice(s, block, (i * bonds, j * bonds))
         # LAPACK wants columns in a row. The transpose is free here, and asks nothing of the layout of
         # the fields, which the products with loads want by rows.
         return s.T
 
     def drift(self, state: State, chain: Chain) -> Float[Array, " bonds"]:
-        """Distance of neighbours over a_i + a_{i+1}, minus 1."""
-        return (bond_lengths(state.position) / chain.bond_length - 1) * chain.bond_mask
+        """Distance of neighbours over its value at rest, minus 1."""
+        return bond_drift(state, chain)
 
     def project(self, state: State, chain: Chain) -> State:
         """Beads set along the present tangents at touching distance."""
-        position, centre = state.position, chain.centres(state.position)
-        return State(place(chain, tangents(position), centre), state.director)
+        return with_bond_lengths(state, chain)
 
 
-def _ends(row: int, column: int) -> Difference:
-    """Field of beads -> field of bonds: f_i (+ or -) f_{i+1} along rows and along columns."""
-
-    def apply(f: Array) -> Array:
-        corner = f[1:, 1:] if row == column else -f[1:, 1:]
-        below = f[1:, :-1] if row == 1 else -f[1:, :-1]
-        right = f[:-1, 1:] if column == 1 else -f[:-1, 1:]
-        return f[:-1, :-1] + below + right + corner
-
-    return apply
-
-
-def _weighted(ends: Difference, row: Array | None, column: Array | None) -> Difference:
-    """As `ends`, of a field whose rows and columns are multiplied by the beads' radii first."""
+def _weighted(difference: Difference, row: Array | None, column: Array | None) -> Difference:
+    """As `difference`, of a field whose rows and columns are multiplied by the beads' radii first."""
 
     def apply(f: Array) -> Array:
         if row is not None:
             f = f * row[:, None]
         if column is not None:
             f = f * column[None, :]
-        return ends(f)
+        return difference(f)
 
     return apply

@@ -1,16 +1,23 @@
 """Forces and torques on beads.
 
-`Bending` (torques), `BendingEnergy` (the same as a potential), `Weight`, `ForceField`, `Potential`.
-A new one is a class derived from `AbstractForce` or `AbstractPotential` in a file of its own, a line
-here and a line in `tests/cases.py`.
+Elasticity: `Bending` (torques), `BendingEnergy` (the same as a potential), `JointBending` (of the Joint
+Model, with `JointRepulsion`), `Spring`. Others: `Weight`, `Follower`, `Contact`, and a user's function
+as `ForceField` or `Potential`. A new one is a class derived from `AbstractForce` or `AbstractPotential`
+in a file of its own, a line here and a line in `tests/cases.py`.
 """
 
 from .base import AbstractForce as AbstractForce
 from .base import AbstractPotential as AbstractPotential
 from .bending import Bending as Bending
 from .bending import BendingEnergy as BendingEnergy
-from .bending import CrossProductCurvature as CrossProductCurvature
-from .bending import SineRuleCurvature as SineRuleCurvature
+from .contact import Contact as Contact
+from .curvature import AbstractCurvatureLaw as AbstractCurvatureLaw
+from .curvature import CrossProductCurvature as CrossProductCurvature
+from .curvature import SineRuleCurvature as SineRuleCurvature
 from .field import ForceField as ForceField
 from .field import Potential as Potential
+from .follower import Follower as Follower
+from .joint_bending import JointBending as JointBending
+from .joint_bending import JointRepulsion as JointRepulsion
+from .spring import Spring as Spring
 from .weight import Weight as Weight

@@ -1,9 +1,11 @@
 """What a force is, and a force that follows from an energy."""
 
 import abc
+from typing import ClassVar
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..chain import Chain
@@ -15,10 +17,17 @@ class AbstractForce(eqx.Module):
 
     rotational: eqx.AbstractClassVar[bool]
     """Whether the load holds torques."""
+    oriented: ClassVar[bool] = False
+    """Whether the load depends on directors."""
 
     @abc.abstractmethod
     def load(self, t: Float[Array, ""], state: State, chain: Chain) -> Load:
         """Forces and torques on the beads."""
+
+    def explicit_step(self, chain: Chain, viscosity: Float[Array, ""]) -> Float[Array, ""]:
+        """Time step [time] that is safe for explicit solvers where this force is stiff; infinite
+        unless a force knows better."""
+        return jnp.asarray(jnp.inf)
 
 
 class AbstractPotential(AbstractForce):
@@ -37,3 +46,11 @@ class AbstractPotential(AbstractForce):
             return self.energy(t, State(position, state.director), chain)
 
         return Load(force=-jax.grad(energy)(state.position))
+
+
+def repulsion(gap: Array, roughness: Array, decay: Array) -> Array:
+    """Profile of the repulsive force between surfaces at the distance `gap`, eq. (43), over its scale:
+    0 beyond the roughness, rising linearly to 1 at minus the roughness, exponential beyond."""
+    deep = jnp.minimum(gap + roughness, 0.0)  # bounded where the other branch holds
+    ramp = 0.5 - gap / (2 * roughness)
+    return jnp.where(gap > roughness, 0.0, jnp.where(deep < 0, jnp.exp(-deep / decay), ramp))

@@ -12,7 +12,7 @@ from ..dynamics import motion
 from ..force import Bending
 from ..rollout import Solution
 from ..scene import Scene
-from ..solver import bending_step
+from ..solver import explicit_step
 from ..state import State
 from .case import Case, ReadyMade
 
@@ -61,7 +61,7 @@ def relaxation(
     shape = shapes[:, mode - 1] / np.abs(shapes[:, mode - 1]).max()
     rise = amplitude * float(chain.length[0]) * np.diff(shape) / np.asarray(chain.bond_length)
     state = State(from_tangents(chain, np.stack([np.sqrt(1 - rise**2), rise], axis=1)))
-    span = min(1 / rates[mode - 1], 20_000 * float(bending_step(scene)))
+    span = min(1 / rates[mode - 1], 20_000 * float(explicit_step(scene)))
     return Case(scene, state, np.linspace(0, span, 41))
 
 

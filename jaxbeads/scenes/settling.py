@@ -13,7 +13,7 @@ from ..numbers import rigidity_from_elasto_gravitational_number
 from ..observables import deflection, friction_coefficient, rigid_resistance, tilt
 from ..rollout import Solution
 from ..scene import Scene
-from ..solver import bending_step
+from ..solver import explicit_step
 from ..solver.stepping import substeps_for
 from ..state import State
 from .case import Case, ReadyMade
@@ -60,7 +60,7 @@ def settling(
     ts = np.linspace(0, 60 * relaxation, 6001)
     # Eq. (39) knows of bending only: a soft fibre must not fall by more than 0.2 a in a step either.
     speed = weight * beads / float(settling_friction(scene))
-    step = min(float(bending_step(scene)), 0.2 * radius / speed)
+    step = min(float(explicit_step(scene)), 0.2 * radius / speed)
     return Case(scene, state, ts, substeps_for(scene, jnp.asarray(ts), step), _steady, chunk=50)
 
 

@@ -8,4 +8,4 @@ a line here and a line in `tests/cases.py`.
 from .ab3 import AB3 as AB3
 from .stepping import AdaptiveSteps as AdaptiveSteps
 from .stepping import FixedSteps as FixedSteps
-from .stepping import bending_step as bending_step
+from .stepping import explicit_step as explicit_step

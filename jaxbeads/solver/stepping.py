@@ -17,7 +17,6 @@ from jaxtyping import Array, Float, Int
 
 from ..constraint import AbstractChainConstraint
 from ..dynamics import rate
-from ..force import Bending, BendingEnergy
 from ..scene import Scene
 from ..state import State
 
@@ -31,15 +30,12 @@ def _vector_field(t: Time, state: State, scene: Scene) -> State:
 _TERM = diffrax.ODETerm(_vector_field)
 
 
-def bending_step(scene: Scene) -> Float[Array, ""]:
-    """The paper's time step, mu (2a)^4 / K_b, eq. (39); infinite without bending.
-
-    With several radii or rigidities: the smallest radius and the largest rigidity.
-    """
-    forces = [f for f in scene.forces if isinstance(f, (Bending, BendingEnergy))]
-    stiffest = jnp.max(jnp.stack([jnp.zeros(()), *(jnp.max(f.rigidity) for f in forces)]))
-    step = scene.viscosity * (2 * jnp.min(scene.chain.radius)) ** 4
-    return jnp.where(stiffest == 0, jnp.inf, step / jnp.where(stiffest == 0, 1.0, stiffest))
+def explicit_step(scene: Scene) -> Float[Array, ""]:
+    """Time step for explicit solvers: the smallest that a force asks for. With `Bending` the paper's
+    mu (2a)^4 / K_b, eq. (39), for the smallest radius and the largest rigidity; infinite without
+    stiff forces."""
+    steps = [f.explicit_step(scene.chain, scene.viscosity) for f in scene.forces]
+    return jnp.min(jnp.stack([jnp.asarray(jnp.inf), *steps]))
 
 
 def project(scene: Scene, state: State) -> State:
@@ -206,9 +202,9 @@ class AdaptiveSteps(eqx.Module):
 def substeps_for(scene: Scene, ts: Float[Array, " times"], step: float | None) -> int:
     """Number of equal steps between save times, from a largest step (by default (39)).
 
-    **Raises** `ValueError` if neither a step nor a bending rigidity is at hand.
+    **Raises** `ValueError` if there is neither a step nor a stiff force.
     """
-    limit = float(bending_step(scene)) if step is None else step
+    limit = float(explicit_step(scene)) if step is None else step
     if not np.isfinite(limit):
         raise ValueError(
             "Argument `substeps` must be given, but it is None and the scene has no bending rigidity "

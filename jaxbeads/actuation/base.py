@@ -1,0 +1,25 @@
+"""What a preferred curvature is."""
+
+import abc
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+
+class AbstractCurvature(eqx.Module):
+    """Preferred curvature kappa_0(s, t) at the joints of a fibre, whose bending moment is then
+    m = K_b (kappa - kappa_0) b: the driving torques of an active fibre. They are internal, so their sum
+    and the total force vanish."""
+
+    @abc.abstractmethod
+    def __call__(
+        self,
+        t: Float[Array, ""],
+        arclength: Float[Array, " joints"],
+        length: Float[Array, " joints"],
+    ) -> Float[Array, " joints"] | Float[Array, "joints 3"]:
+        """Curvature [1/length] at each joint: signed in the plane, vectors in space.
+
+        **Arguments**: time; arclength from the first end of the joint's fibre [length]; length of that
+        fibre [length].
+        """

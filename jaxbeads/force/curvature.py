@@ -1,0 +1,103 @@
+"""What bending forces share: discrete curvature at a joint, and the curvature at rest."""
+
+import abc
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._checks import fail, finite, non_negative
+from .._typing import float_array, leaf_function
+from ..geometry import unit
+
+Curvature = Array | Callable[[Array, Array, Array], Array]
+"""Curvature at rest: numbers, or a function of time, arclength and length (`jaxbeads.actuation`)."""
+
+
+class AbstractCurvatureLaw(eqx.Module):
+    """Discrete curvature at a joint where the tangent turns by phi over the arclength l (= 2a)."""
+
+    @abc.abstractmethod
+    def secant(self, cosine: Array) -> Array:
+        """kappa l / sin(phi), so that the curvature vector is secant (e x e') / l."""
+
+    @abc.abstractmethod
+    def energy(self, cosine: Array) -> Array:
+        """Integral of kappa l over phi: the bending energy of a joint times l / K_b."""
+
+
+class CrossProductCurvature(AbstractCurvatureLaw):
+    """kappa = |e x e'| / (2a), eq. (34); energy K_b (1 - cos phi) / (2a). Smooth for a straight and a
+    folded chain; weakens when the chain turns by more than a right angle at one bead."""
+
+    def secant(self, cosine: Array) -> Array:
+        """1."""
+        return jnp.ones_like(cosine)
+
+    def energy(self, cosine: Array) -> Array:
+        """1 - cos phi."""
+        return 1 - cosine
+
+
+class SineRuleCurvature(AbstractCurvatureLaw):
+    """kappa = sin(phi/2) / a, eq. (33): the circle through three neighbouring centres; energy
+    (2 K_b / a)(1 - cos(phi/2)). Grows up to the fold, where its direction is undefined."""
+
+    def _half(self, cosine: Array) -> Array:
+        square = 0.5 * (1 + cosine)
+        folded = square <= 0
+        return jnp.where(folded, 0.0, jnp.sqrt(jnp.where(folded, 1.0, square)))
+
+    def secant(self, cosine: Array) -> Array:
+        """1 / cos(phi/2)."""
+        half = self._half(cosine)
+        return 1 / jnp.where(half == 0, 1.0, half)
+
+    def energy(self, cosine: Array) -> Array:
+        """4 (1 - cos(phi/2))."""
+        return 4 * (1 - self._half(cosine))
+
+
+def curvature_at_rest(value: Any) -> Curvature:
+    """Converter of the argument `intrinsic_curvature`."""
+    return leaf_function(value) if callable(value) else float_array(value)
+
+
+def check_bending(rigidity: Array, intrinsic: Curvature, spatial: bool) -> None:
+    """Refuse a negative rigidity and shapes that fit no chain."""
+    if rigidity.ndim > 1:
+        fail("rigidity", "be one number or one for each joint", f"it has shape {rigidity.shape}")
+    non_negative("rigidity", rigidity)
+    if not isinstance(intrinsic, jax.Array):
+        return
+    vector = spatial and intrinsic.ndim == 2 and intrinsic.shape[1] == 3
+    if intrinsic.ndim > 1 and not vector:
+        must = "be one number or one for each joint"
+        fail("intrinsic_curvature", must, f"it has shape {intrinsic.shape}")
+    finite("intrinsic_curvature", intrinsic)
+
+
+def rest_at(
+    intrinsic: Curvature,
+    t: Float[Array, ""],
+    arclength: Float[Array, " joints"],
+    length: Float[Array, " joints"],
+) -> Array:
+    """Curvature at rest at one instant, `(joints,)` or `(joints, 3)`."""
+    value = intrinsic(t, arclength, length) if callable(intrinsic) else intrinsic
+    return value if value.ndim else jnp.broadcast_to(value, arclength.shape)
+
+
+def moments(
+    rigidity: Array, law: AbstractCurvatureLaw, sine: Array, cosine: Array, span: Array, rest: Array
+) -> Float[Array, "joints spins"]:
+    """K_b (kappa - kappa_0) from the sine (a vector) and cosine of the turning angle over the arclength
+    `span`. In space a signed `rest` acts along the present binormal."""
+    curvature = (law.secant(cosine) / span)[:, None] * sine
+    if rest.ndim < 2:
+        binormal = unit(sine) if sine.shape[1] == 3 else jnp.ones_like(sine)
+        rest = rest[:, None] * binormal
+    return jnp.broadcast_to(rigidity, cosine.shape)[:, None] * (curvature - rest)

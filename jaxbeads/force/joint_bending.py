@@ -1,0 +1,154 @@
+"""Bending of the Joint Model: moments at the joints between beads, with the repulsion it needs."""
+
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._checks import fail, kind, non_negative, positive, shape
+from .._typing import float_array
+from ..chain import Chain
+from ..geometry import bonds, cross, norm, unit
+from ..state import Load, State
+from .base import AbstractForce, repulsion
+from .curvature import (
+    AbstractCurvatureLaw,
+    Curvature,
+    SineRuleCurvature,
+    check_bending,
+    curvature_at_rest,
+    moments,
+    rest_at,
+)
+
+_SINE_RULE = SineRuleCurvature()
+
+
+class JointRepulsion(eqx.Module):
+    """Repulsion of neighbours in the Joint Model, eqs (43)-(45), which keeps bent chains from overlap.
+
+    Its scale is F_0 = C_1 F_v + C_2 sqrt(K_b E_b / L^3), with E_b = sum of K_b (kappa - kappa_0)^2.
+
+    **Arguments**
+
+    - `viscous`: C_1 F_v [force]. The paper takes F_v = 6 pi mu L |v - v_inf| from the motion itself,
+      which here is the outcome; give the drag force that the scene implies (a fibre's weight; 0
+      for a fibre on which no force acts).
+    - `elastic`: C_2.
+    - `roughness`: delta_D over the half bond length a + eps_g.
+    - `decay`: d_0 over the half bond length.
+
+    **Raises** `ValueError` for negative numbers and lengths that are not positive.
+    """
+
+    viscous: Float[Array, ""] = eqx.field(converter=float_array, default=0.0)
+    elastic: Float[Array, ""] = eqx.field(converter=float_array, default=0.5)
+    roughness: Float[Array, ""] = eqx.field(converter=float_array, default=0.2)
+    decay: Float[Array, ""] = eqx.field(converter=float_array, default=0.25)
+
+    def __check_init__(self) -> None:
+        for name in ("viscous", "elastic", "roughness", "decay"):
+            shape(name, getattr(self, name), ())
+        non_negative("viscous", self.viscous)
+        non_negative("elastic", self.elastic)
+        positive("roughness", self.roughness)
+        positive("decay", self.decay)
+
+
+class JointBending(AbstractForce):
+    """Bending moments m_i = K_b (kappa_i - kappa_0) b at the joints of `Joint`, as torques on the beads:
+    gamma_i = m_i - m_{i-1}, eq. (47).
+
+    The curvature is that of the turn phi from one director to the next over the bond length
+    2 (a + eps_g): with the default law sin(phi/2) / (a + eps_g), half of eq. (46) as it is printed,
+    which would make the chain twice as stiff as `Bending`'s.
+
+    **Arguments**
+
+    - `rigidity`: K_b [force length^2], one for all joints or one each, `(beads - 1,)`.
+    - `intrinsic_curvature`: as for `Bending`, at the joints, `(beads - 1,)` or `(beads - 1, 3)`.
+    - `law`: `SineRuleCurvature()` (46) or `CrossProductCurvature()`.
+    - `repulsion`: between neighbours, a `JointRepulsion`, or `None`.
+
+    **Raises** `ValueError` for a negative rigidity, values that are not finite, or wrong shapes.
+    """
+
+    rotational: ClassVar[bool] = True
+    oriented: ClassVar[bool] = True
+    rigidity: Array
+    intrinsic_curvature: Curvature
+    law: AbstractCurvatureLaw
+    repulsion: JointRepulsion | None
+
+    def __init__(
+        self,
+        rigidity: Any,
+        intrinsic_curvature: Any = 0.0,
+        law: AbstractCurvatureLaw = _SINE_RULE,
+        repulsion: JointRepulsion | None = None,
+    ) -> None:
+        self.rigidity = float_array(rigidity)
+        self.intrinsic_curvature = curvature_at_rest(intrinsic_curvature)
+        self.law = law
+        self.repulsion = repulsion
+
+    def __check_init__(self) -> None:
+        kind("law", self.law, AbstractCurvatureLaw)
+        if self.repulsion is not None:
+            kind("repulsion", self.repulsion, JointRepulsion)
+        check_bending(self.rigidity, self.intrinsic_curvature, spatial=True)
+
+    def moments(
+        self, t: Float[Array, ""], state: State, chain: Chain
+    ) -> Float[Array, "bonds spins"]:
+        """Moment at each joint [force length]; zero between fibres."""
+        p = state.director
+        if p is None:
+            fail("state", "hold directors for JointBending", "it holds none")
+            raise AssertionError  # for the type checker: `fail` raises
+        sine, cosine = cross(p[:-1], p[1:]), jnp.sum(p[:-1] * p[1:], axis=-1)
+        rest = self.intrinsic_curvature
+        if isinstance(rest, jax.Array):
+            rest = rest if rest.ndim else jnp.broadcast_to(rest, cosine.shape)
+        else:
+            link = chain.arclength[:-1] + chain.reach[:-1]
+            rest = rest_at(rest, t, link, chain.length[chain.fibre_of_bead[:-1]])
+        m = moments(self.rigidity, self.law, sine, cosine, chain.bond_length, rest)
+        return m * chain.bond_mask[:, None]
+
+    def load(self, t: Float[Array, ""], state: State, chain: Chain) -> Load:
+        """Torques on the beads, and forces between neighbours that repel each other."""
+        if chain.beads < 2:
+            return Load()
+        m = self.moments(t, state, chain)
+        torque = jnp.pad(m, ((0, 1), (0, 0))) - jnp.pad(m, ((1, 0), (0, 0)))
+        if self.repulsion is None:
+            return Load(torque=torque)
+        rigidity = jnp.broadcast_to(self.rigidity, m.shape[:1])
+        square = jnp.sum(m * m, axis=1)  # (K_b (kappa - kappa_0))^2
+        stiff = jnp.where(rigidity == 0, 1.0, rigidity)
+        fibre = chain.fibre_of_bead
+        member = (fibre[:-1] == np.arange(len(chain.fibres))[:, None]) * 1.0
+        energy = member @ (square / stiff)
+        scale = jnp.sqrt(jnp.where(energy == 0, 1.0, jnp.max(rigidity) * energy / chain.length**3))
+        scale = self.repulsion.viscous + self.repulsion.elastic * jnp.where(energy == 0, 0.0, scale)
+        d = bonds(state.position)
+        gap = norm(d) - chain.radii[:-1] - chain.radii[1:]
+        half = 0.5 * chain.bond_length
+        profile = repulsion(gap, self.repulsion.roughness * half, self.repulsion.decay * half)
+        push = (scale[fibre[:-1]] * profile * chain.bond_mask)[:, None] * unit(d)
+        force = jnp.pad(push, ((1, 0), (0, 0))) - jnp.pad(push, ((0, 1), (0, 0)))
+        return Load(force, torque)
+
+    def explicit_step(self, chain: Chain, viscosity: Float[Array, ""]) -> Float[Array, ""]:
+        """A third of the paper's step (39): a joint's moment turns single beads, whose fastest rate is
+        4 (K_b / l) / (8 pi mu a^3)."""
+        stiffest = jnp.max(self.rigidity)
+        radius = jnp.min(chain.radius)
+        step = viscosity * radius**3 * 2 * (radius + chain.gap)
+        return jnp.where(
+            stiffest == 0, jnp.inf, step / jnp.where(stiffest == 0, 1.0, stiffest) * 2.5
+        )

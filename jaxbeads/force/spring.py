@@ -1,0 +1,50 @@
+"""Spring: neighbours held together by springs instead of constraints."""
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._checks import fail, non_negative
+from .._typing import float_array
+from ..chain import Chain
+from ..geometry import bond_lengths
+from ..state import State
+from .base import AbstractPotential
+
+
+class Spring(AbstractPotential):
+    """Linear springs along the bonds, E = sum of k_s (|r_{i+1} - r_i| - l)^2 / 2 with l the bond length
+    of the chain: the Spring Model, eq. (1).
+
+    Lengths are kept approximately and beads do not turn with the fibre, so the model misses what
+    depends on thickness, as the tumbling of a fibre that lies along a shear flow.
+
+    **Arguments**: `stiffness` k_s [force/length], one for all bonds or one each, `(beads - 1,)`.
+
+    **Raises** `ValueError` for a negative stiffness or another shape.
+    """
+
+    rotational: ClassVar[bool] = False
+    stiffness: Array = eqx.field(converter=float_array)
+
+    def __check_init__(self) -> None:
+        if self.stiffness.ndim > 1:
+            must = "be one number or one for each bond"
+            fail("stiffness", must, f"it has shape {self.stiffness.shape}")
+        non_negative("stiffness", self.stiffness)
+
+    def energy(self, t: Float[Array, ""], state: State, chain: Chain) -> Float[Array, ""]:
+        """Energy of all springs [force length]."""
+        stretch = bond_lengths(state.position) - chain.bond_length
+        return 0.5 * jnp.sum(self.stiffness * chain.bond_mask * stretch**2)
+
+    def explicit_step(self, chain: Chain, viscosity: Float[Array, ""]) -> Float[Array, ""]:
+        """6 pi mu a / (10 k_s), from the fastest rate, 4 k_s / (6 pi mu a)."""
+        stiffest = jnp.max(self.stiffness)
+        drag = 6 * np.pi * viscosity * jnp.min(chain.radius)
+        return jnp.where(
+            stiffest == 0, jnp.inf, drag / (10 * jnp.where(stiffest == 0, 1.0, stiffest))
+        )
