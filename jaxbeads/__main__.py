@@ -4,6 +4,7 @@ import argparse
 import inspect
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 
 from .breakdown import SimulationError
 from .rollout import Solution
-from .scenes import SCENES, Case, ReadyMade
+from .scenes import MODELS, SCENES, AbstractModel, Case, ReadyMade, Value
 from .solver import AB3
 
 
@@ -27,13 +28,7 @@ def _parser() -> argparse.ArgumentParser:
         sub = scenes.add_parser(ready.name, help=ready.summary, description=ready.summary)
         defaults = inspect.signature(ready.build).parameters
         for option, text in ready.options.items():
-            default = defaults[option].default
-            sub.add_argument(
-                f"--{option.replace('_', '-')}",
-                type=type(default),
-                default=default,
-                help=f"{text} (default {default})",
-            )
+            _add_option(sub, option, defaults[option].default, text)
         sub.add_argument(
             "--solver",
             default="AB3",
@@ -45,6 +40,19 @@ def _parser() -> argparse.ArgumentParser:
         )
         sub.add_argument("--json", action="store_true", help="print the results as JSON, last line")
     return parser
+
+
+def _add_option(parser: argparse.ArgumentParser, option: str, default: Any, text: str) -> None:
+    flag = f"--{option.replace('_', '-')}"
+    if isinstance(default, bool):
+        parser.add_argument(flag, action="store_true", help=text)
+    elif isinstance(default, AbstractModel):
+        name = next(name for name, model in MODELS.items() if model is default)
+        text = f"bead model (default {name})"
+        parser.add_argument(flag, choices=list(MODELS), default=name, help=text)
+    else:
+        text = f"{text} (default {default})"
+        parser.add_argument(flag, type=type(default), default=default, help=text)
 
 
 def _adaptive_solver(name: str) -> diffrax.AbstractSolver | None:
@@ -80,6 +88,8 @@ def _write(ready: ReadyMade, case: Case, solution: Solution, folder: Path) -> li
     view = plot.View(co_moving=case.scene.flow is None, stretch=ready.stretch)
     label, measure = ready.plotted
     written = [folder / f"{ready.name}.h5"]
+    if ready.co_moving is not None:
+        view = plot.View(co_moving=ready.co_moving)
     pictures = {
         "shapes": plot.shapes(solution, chain, view=view),
         "observable": plot.observable(solution.ts, measure(case, solution), label),
@@ -93,8 +103,19 @@ def _write(ready: ReadyMade, case: Case, solution: Solution, folder: Path) -> li
     return written
 
 
+def _text(value: Value) -> str:
+    if value is None or isinstance(value, bool):
+        return {None: "none", True: "yes", False: "no"}[value]
+    if isinstance(value, Sequence):
+        return " ".join(_text(x) for x in value)
+    return f"{value:.6g}"
+
+
 def _run(ready: ReadyMade, arguments: argparse.Namespace) -> None:
-    case = ready.build(**{name: getattr(arguments, name) for name in ready.options})
+    values = {name: getattr(arguments, name) for name in ready.options}
+    if "model" in values:
+        values["model"] = MODELS[values["model"]]
+    case = ready.build(**values)
     options: dict[str, Any] = _solver_options(arguments.solver, case)
     folder: Path | None = arguments.out
     if folder is not None:
@@ -110,7 +131,7 @@ def _run(ready: ReadyMade, arguments: argparse.Namespace) -> None:
     print(solution.summary())
     results = ready.observables(case, solution)
     for name, value in results.items():
-        print(f"  {name:<24}{value:.6g}")
+        print(f"  {name:<24}{_text(value)}")
     if folder is not None:
         for path in _write(ready, case, solution, folder):
             print(f"  wrote {path}")

@@ -34,6 +34,17 @@ def spin_cross(spin: Array, arm: Float[Array, "*batch dim"]) -> Float[Array, "*b
     return jnp.cross(spin, arm)
 
 
+def turned(
+    vector: Float[Array, "*batch 3"], start: Float[Array, "*batch 3"], end: Float[Array, "*batch 3"]
+) -> Float[Array, "*batch 3"]:
+    """Vectors turned by the smallest rotation from the unit vector `start` to the unit vector `end`
+    (which is undefined, and here none, where they are opposite)."""
+    axis, cosine = jnp.cross(start, end), jnp.sum(start * end, axis=-1, keepdims=True)
+    once = jnp.cross(axis, vector)
+    opposite = 1 + cosine < 1e-14
+    return vector + once + jnp.cross(axis, once) / jnp.where(opposite, 1.0, 1 + cosine)
+
+
 def bonds(position: Float[Array, "*batch beads dim"]) -> Float[Array, "*batch bonds dim"]:
     """Vectors from each bead to the next, r_{i+1} - r_i."""
     return position[..., 1:, :] - position[..., :-1, :]

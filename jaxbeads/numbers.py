@@ -48,6 +48,27 @@ def elasto_gravitational_number(weight: Any, length: Any, rigidity: Any) -> Arra
     return weight * jnp.asarray(length) ** 2 / rigidity
 
 
+def sperm_number(length: Any, angular_frequency: Any, friction: Any, rigidity: Any) -> Array:
+    """Sp = L (zeta (gamma/L) / K_b)^(1/4), eq. (58), with gamma [force time/length] the normal friction
+    coefficient of the rigid straight fibre (viscosity included) and zeta the angular frequency. Large
+    values: flexible."""
+    drag = jnp.asarray(friction) / length
+    return length * (angular_frequency * drag / rigidity) ** 0.25
+
+
+def rigidity_from_sperm_number(
+    number: Any, length: Any, angular_frequency: Any, friction: Any
+) -> Array:
+    """K_b [force length^2] of Sp, the inverse of `sperm_number`."""
+    return angular_frequency * jnp.asarray(friction) * length**3 / jnp.asarray(number) ** 4
+
+
+def largest_joint_curvature(radius: Any, gap: Any) -> Array:
+    """kappa_max = sqrt(1 - (a/(a + eps_g))^2) / a: curvature up to which neighbours of the Joint
+    Model do not overlap, eq. (4) [1/length]."""
+    return jnp.sqrt(1 - (radius / (radius + jnp.asarray(gap))) ** 2) / radius
+
+
 def rigidity_from_elasto_gravitational_number(number: Any, weight: Any, length: Any) -> Array:
     """K_b [force length^2] of B, the inverse of `elasto_gravitational_number`."""
     return weight * jnp.asarray(length) ** 2 / number

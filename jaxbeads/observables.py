@@ -11,12 +11,18 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ._checks import fail
-from .chain import Chain
-from .dynamics import Time, constraint_residual, motion
+from .chain import Chain, straight
+from .dynamics import (
+    Time,
+    applied_load,
+    constraint_load,
+    constraint_residual,
+    motion,
+)
 from .geometry import bonds, cross, norm, tangents
 from .mobility import RPY, AbstractMobility
 from .scene import Scene
-from .state import Load, State, spins
+from .state import Load, State, add_loads, spins
 
 __all__ = [
     "bond_length_error",
@@ -28,8 +34,10 @@ __all__ = [
     "minimal_radius_of_curvature",
     "orbit_period",
     "orientation",
+    "power",
     "rigid_resistance",
     "settling_velocity",
+    "swimming_efficiency",
     "tilt",
 ]
 
@@ -124,6 +132,30 @@ def friction_coefficient(t: Time, state: State, scene: Scene, force: Any) -> Flo
     force = jnp.asarray(force)
     size = jnp.linalg.norm(force)
     return size**2 / jnp.dot(settling_velocity(t, state, scene), force)
+
+
+def power(t: Time, state: State, scene: Scene) -> Float[Array, ""]:
+    """Work done on the fluid per time by all forces and torques, of the scene's terms and of its
+    constraints: sum of F.v + T.w [force length/time]. In a quiescent fluid it is the dissipation."""
+    moved = motion(t, state, scene)
+    load = applied_load(t, state, scene)
+    if scene.constraints:
+        load = add_loads(load, constraint_load(t, state, scene))
+    done = jnp.zeros((), state.position.dtype)
+    if load.force is not None:
+        done = done + jnp.sum(load.force * moved.velocity)
+    if load.torque is not None and moved.spin is not None:
+        done = done + jnp.sum(load.torque * moved.spin)
+    return done
+
+
+def swimming_efficiency(speed: Any, mean_power: Any, scene: Scene) -> Float[Array, ""]:
+    """Lighthill's efficiency: power to tow the straight, rigid fibre at the swimming speed along its
+    axis, over the mean power of the stroke, gamma_par V^2 / P."""
+    dim = 2
+    flat = straight(scene.chain, np.eye(dim)[0]).position
+    drag = rigid_resistance(flat, scene.chain, scene.viscosity, scene.mobility)[0, 0]
+    return drag * jnp.asarray(speed) ** 2 / mean_power
 
 
 def rigid_resistance(

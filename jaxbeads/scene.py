@@ -141,7 +141,7 @@ def _check_terms(scene: Scene, dim: int) -> None:
             curvature = term.intrinsic_curvature
             shape(f"{name}.rigidity", term.rigidity, (), (number,))
             spatial = dim == 3 and not isinstance(term, BendingEnergy)
-            vectors = ((number, 3),) if spatial else ()
+            vectors = ((number, 2), (number, 3)) if spatial else ()
             if callable(curvature):
                 along = jnp.zeros(number)
                 curvature = jax.eval_shape(curvature, jnp.zeros(()), along, along)

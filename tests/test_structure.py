@@ -28,7 +28,7 @@ ORDER = [
     {"__main__"},
 ]
 # What the files of a sub-package may import from one another.
-SHARED = {"solver": {"ab3"}, "force": {"base", "curvature"}, "scenes": {"case"}}
+SHARED = {"solver": {"ab3"}, "force": {"base", "curvature"}, "scenes": {"case", "models"}}
 RANK = {name: rank for rank, row in enumerate(ORDER) for name in row}
 
 

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from .._checks import kind
 from .._typing import float_array
 from ..chain import Chain
-from ..geometry import cross, tangents, turning_angles
+from ..geometry import tangents, turning_angles
 from ..state import Load, State
 from .base import AbstractForce, AbstractPotential
 from .curvature import (
@@ -22,6 +22,7 @@ from .curvature import (
     Curvature,
     check_bending,
     curvature_at_rest,
+    end_to_end,
     moments,
     rest_at,
 )
@@ -34,9 +35,7 @@ def _joint_length(chain: Chain) -> Float[Array, " joints"]:
     return 0.5 * (bond[1:] + bond[:-1])
 
 
-def _rest(
-    intrinsic: Curvature, t: Float[Array, ""], chain: Chain
-) -> Float[Array, " joints"] | Float[Array, "joints 3"]:
+def _rest(intrinsic: Curvature, t: Float[Array, ""], chain: Chain) -> Array:
     if isinstance(intrinsic, jax.Array):  # no time, no arclength
         return intrinsic if intrinsic.ndim else jnp.broadcast_to(intrinsic, (chain.beads - 2,))
     fibre = chain.fibre_of_bead[1:-1]
@@ -62,7 +61,8 @@ class Bending(AbstractForce):
 
     - `rigidity`: K_b [force length^2], one for all joints or one each, `(beads - 2,)`.
     - `intrinsic_curvature`: kappa_0 [1/length], one or one each. Signed in the plane; in space along
-      the present binormal, eq. (31), hence without effect on a straight joint; or vectors
+      the present binormal, eq. (31), hence without effect on a straight joint; or along two normals
+      that belong to the fibre, `(beads - 2, 2)` (see `actuation.TwoPlanes`); or vectors
       `(beads - 2, 3)` that keep their direction in space. For an active fibre a function
       kappa_0(t, arclength, length) of the joints, as those of `jaxbeads.actuation`.
     - `law`: discrete curvature, `CrossProductCurvature()` (34) or `SineRuleCurvature()` (33).
@@ -94,9 +94,9 @@ class Bending(AbstractForce):
     ) -> Float[Array, "joints spins"]:
         """Moment m_i at each inner bead [force length]; zero where fibres end."""
         e = tangents(state.position)
-        sine, cosine = cross(e[:-1], e[1:]), jnp.sum(e[:-1] * e[1:], axis=-1)
-        rest = _rest(self.intrinsic_curvature, t, chain)
-        m = moments(self.rigidity, self.law, sine, cosine, _joint_length(chain), rest)
+        rest, span = _rest(self.intrinsic_curvature, t, chain), _joint_length(chain)
+        axis = end_to_end(state.position, chain)[1:-1]
+        m = moments(self.rigidity, self.law, e[:-1], e[1:], span, rest, axis)
         return m * chain.joint_mask[:, None]
 
     def load(self, t: Float[Array, ""], state: State, chain: Chain) -> Load:

@@ -7,11 +7,13 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._checks import fail, finite, non_negative
 from .._typing import float_array, leaf_function
-from ..geometry import unit
+from ..chain import Chain
+from ..geometry import cross, turned, unit
 
 Curvature = Array | Callable[[Array, Array, Array], Array]
 """Curvature at rest: numbers, or a function of time, arclength and length (`jaxbeads.actuation`)."""
@@ -73,7 +75,7 @@ def check_bending(rigidity: Array, intrinsic: Curvature, spatial: bool) -> None:
     non_negative("rigidity", rigidity)
     if not isinstance(intrinsic, jax.Array):
         return
-    vector = spatial and intrinsic.ndim == 2 and intrinsic.shape[1] == 3
+    vector = spatial and intrinsic.ndim == 2 and intrinsic.shape[1] in (2, 3)
     if intrinsic.ndim > 1 and not vector:
         must = "be one number or one for each joint"
         fail("intrinsic_curvature", must, f"it has shape {intrinsic.shape}")
@@ -86,18 +88,37 @@ def rest_at(
     arclength: Float[Array, " joints"],
     length: Float[Array, " joints"],
 ) -> Array:
-    """Curvature at rest at one instant, `(joints,)` or `(joints, 3)`."""
+    """Curvature at rest at one instant, `(joints,)`, `(joints, 2)` or `(joints, 3)`."""
     value = intrinsic(t, arclength, length) if callable(intrinsic) else intrinsic
     return value if value.ndim else jnp.broadcast_to(value, arclength.shape)
 
 
 def moments(
-    rigidity: Array, law: AbstractCurvatureLaw, sine: Array, cosine: Array, span: Array, rest: Array
+    rigidity: Array,
+    law: AbstractCurvatureLaw,
+    before: Float[Array, "joints dim"],
+    after: Float[Array, "joints dim"],
+    span: Float[Array, " joints"],
+    rest: Float[Array, " joints"] | Float[Array, "joints 2"] | Float[Array, "joints 3"],
+    axis: Float[Array, "joints dim"],
 ) -> Float[Array, "joints spins"]:
-    """K_b (kappa - kappa_0) from the sine (a vector) and cosine of the turning angle over the arclength
-    `span`. In space a signed `rest` acts along the present binormal."""
+    """K_b (kappa - kappa_0) at joints where a tangent turns from `before` to `after` over the arclength
+    `span`. In space one number of `rest` acts along the present binormal, two along the normals that
+    belong to the fibre's end-to-end direction `axis`, three are a vector."""
+    sine, cosine = cross(before, after), jnp.sum(before * after, axis=-1)
     curvature = (law.secant(cosine) / span)[:, None] * sine
     if rest.ndim < 2:
         binormal = unit(sine) if sine.shape[1] == 3 else jnp.ones_like(sine)
         rest = rest[:, None] * binormal
+    elif rest.shape[1] == 2:
+        x = jnp.broadcast_to(jnp.eye(3, dtype=axis.dtype)[0], axis.shape)
+        rest = turned(turned(jnp.pad(rest, ((0, 0), (1, 0))), x, axis), axis, unit(before + after))
     return jnp.broadcast_to(rigidity, cosine.shape)[:, None] * (curvature - rest)
+
+
+def end_to_end(position: Float[Array, "beads dim"], chain: Chain) -> Float[Array, "beads dim"]:
+    """Direction of each bead's fibre, from its first bead to its last."""
+    last = np.cumsum(chain.fibres) - 1
+    first = last - np.array(chain.fibres) + 1
+    fibre = chain.fibre_of_bead
+    return unit(position[last[fibre]] - position[first[fibre]])

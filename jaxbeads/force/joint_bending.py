@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from .._checks import fail, kind, non_negative, positive, shape
 from .._typing import float_array
 from ..chain import Chain
-from ..geometry import bonds, cross, norm, unit
+from ..geometry import bonds, norm, unit
 from ..state import Load, State
 from .base import AbstractForce, repulsion
 from .curvature import (
@@ -20,6 +20,7 @@ from .curvature import (
     SineRuleCurvature,
     check_bending,
     curvature_at_rest,
+    end_to_end,
     moments,
     rest_at,
 )
@@ -109,14 +110,14 @@ class JointBending(AbstractForce):
         if p is None:
             fail("state", "hold directors for JointBending", "it holds none")
             raise AssertionError  # for the type checker: `fail` raises
-        sine, cosine = cross(p[:-1], p[1:]), jnp.sum(p[:-1] * p[1:], axis=-1)
         rest = self.intrinsic_curvature
         if isinstance(rest, jax.Array):
-            rest = rest if rest.ndim else jnp.broadcast_to(rest, cosine.shape)
+            rest = rest if rest.ndim else jnp.broadcast_to(rest, (len(p) - 1,))
         else:
             link = chain.arclength[:-1] + chain.reach[:-1]
             rest = rest_at(rest, t, link, chain.length[chain.fibre_of_bead[:-1]])
-        m = moments(self.rigidity, self.law, sine, cosine, chain.bond_length, rest)
+        axis = end_to_end(state.position, chain)[:-1]
+        m = moments(self.rigidity, self.law, p[:-1], p[1:], chain.bond_length, rest, axis)
         return m * chain.bond_mask[:, None]
 
     def load(self, t: Float[Array, ""], state: State, chain: Chain) -> Load:

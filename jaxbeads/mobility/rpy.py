@@ -1,5 +1,6 @@
 """Rotne-Prager-Yamakawa: the beads' far-field interactions, regular at any distance."""
 
+import equinox as eqx
 from jaxtyping import Array, Float
 
 from .. import tensors
@@ -13,7 +14,12 @@ class RPY(AbstractMobility):
 
     Exact to order (a/R)^3 for separate beads and positive definite in every configuration,
     overlapping included; no lubrication. Formulas and sources: `jaxbeads.tensors`.
+
+    **Argument**: `strained`: whether beads resist the strain of the ambient flow (C); without it they
+    are carried as points, which many bead models assume.
     """
+
+    strained: bool = eqx.field(static=True, default=True)
 
     def operator(
         self,
@@ -31,6 +37,8 @@ class RPY(AbstractMobility):
         radius: Float[Array, ""] | Float[Array, " beads"],
         strain_rate: Float[Array, "*beads dim dim"],
         rotational: bool,
-    ) -> Motion:
+    ) -> Motion | None:
         """C : E."""
+        if not self.strained:
+            return None
         return tensors.shear_disturbance(position, radius, strain_rate, rotational)

@@ -1,15 +1,23 @@
 """What a ready-made scene consists of."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
+from ..chain import straight
+from ..dynamics import motion
 from ..rollout import Solution
 from ..scene import Scene
 from ..simulate import simulate
 from ..state import State
+
+Value = float | Sequence[float] | bool | None
+"""A result: a number, several, a yes or no, or none."""
 
 
 class Case(NamedTuple):
@@ -43,12 +51,48 @@ class ReadyMade:
     - `observables`: dimensionless results of a run.
     - `plotted`: name of an observable over time, and the function of a solution that gives it.
     - `stretch`: factor on the deflection in pictures.
+    - `co_moving`: whether pictures follow the fibre's centre; by default if there is no flow.
     """
 
     name: str
     summary: str
     build: Callable[..., Case]
     options: dict[str, str]
-    observables: Callable[[Case, Solution], dict[str, float]]
+    observables: Callable[[Case, Solution], dict[str, Value]]
     plotted: tuple[str, Callable[[Case, Solution], Any]]
     stretch: float = 1.0
+    co_moving: bool | None = None
+
+
+SAMPLES = 40
+"""Save times in a period of a driven fibre."""
+
+
+def last_period(solution: Solution) -> tuple[np.ndarray, State]:
+    """Times and states of the last period, its start included."""
+    last = slice(-SAMPLES - 1, None)
+    return np.asarray(solution.ts)[last], jax.tree.map(lambda x: x[last], solution.states)
+
+
+def shape_changes(solution: Solution) -> float:
+    """Largest change of the shape (about its centre) from one period to the next [length]."""
+    position = np.asarray(solution.states.position)
+    shape = position - position.mean(axis=1, keepdims=True)
+    return float(np.abs(shape[-SAMPLES:] - shape[-2 * SAMPLES : -SAMPLES]).max())
+
+
+def lateral_modes(scene: Scene, t: float = 0.0, held: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Growth rates of small deflections from a straight planar fibre along x, fastest growing first,
+    and their shapes in columns.
+
+    **Arguments**: `held`: number of beads at the first end that do not move.
+    """
+    flat = straight(scene.chain, [1.0, 0.0]).position
+
+    def lateral(y: Array) -> Array:
+        return motion(t, State(flat.at[held:, 1].set(y)), scene).velocity[held:, 1]
+
+    jacobian = jax.jit(jax.jacfwd(lateral))(jnp.zeros(scene.chain.beads - held))
+    values, shapes = np.linalg.eig(np.asarray(jacobian))
+    order = np.argsort(-np.real(values))
+    return values[order], shapes[:, order]

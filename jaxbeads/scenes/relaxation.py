@@ -1,33 +1,16 @@
 """Free relaxation of a bent fibre: the decay of one bending mode."""
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from .._checks import fail, positive, whole
-from ..chain import Chain, from_tangents, straight
+from ..chain import Chain, from_tangents
 from ..constraint import Gears
-from ..dynamics import motion
 from ..force import Bending
 from ..rollout import Solution
 from ..scene import Scene
 from ..solver import explicit_step
 from ..state import State
-from .case import Case, ReadyMade
-
-
-def _modes(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Decay rates of a straight fibre's bending modes, slowest first, and their shapes in columns."""
-    flat = straight(scene.chain, [1.0, 0.0]).position
-
-    def lateral(y: Array) -> Array:
-        return motion(0.0, State(flat.at[:, 1].set(y)), scene).velocity[:, 1]
-
-    jacobian = jax.jit(jax.jacfwd(lateral))(jnp.zeros(scene.chain.beads))
-    values, shapes = (np.real(x) for x in np.linalg.eig(np.asarray(jacobian)))
-    order = np.argsort(-values)[2:]  # the first two, 0, are translation and rotation
-    return -values[order], shapes[:, order]
+from .case import Case, ReadyMade, Value, lateral_modes
 
 
 def relaxation(
@@ -57,8 +40,10 @@ def relaxation(
         fail("amplitude", "be small (at most 0.01), for a linear decay", f"it is {amplitude:g}")
     chain = Chain(radius, beads)
     scene = Scene(chain, viscosity, constraints=[Gears()], forces=[Bending(rigidity)])
-    rates, shapes = _modes(scene)
-    shape = shapes[:, mode - 1] / np.abs(shapes[:, mode - 1]).max()
+    growth, shapes = lateral_modes(scene)
+    rates = -np.real(growth)[2:]  # the first two are translation and rotation
+    shape = np.real(shapes[:, mode + 1])
+    shape = shape / np.abs(shape).max()
     rise = amplitude * float(chain.length[0]) * np.diff(shape) / np.asarray(chain.bond_length)
     state = State(from_tangents(chain, np.stack([np.sqrt(1 - rise**2), rise], axis=1)))
     span = min(1 / rates[mode - 1], 20_000 * float(explicit_step(scene)))
@@ -70,7 +55,7 @@ def _amplitude(case: Case, solution: Solution) -> np.ndarray:
     return np.linalg.norm(y - y.mean(axis=1, keepdims=True), axis=1)
 
 
-def _observables(case: Case, solution: Solution) -> dict[str, float]:
+def _observables(case: Case, solution: Solution) -> dict[str, Value]:
     scene = case.scene
     bending = next(f for f in scene.forces if isinstance(f, Bending))
     rate = -np.polyfit(np.asarray(solution.ts), np.log(_amplitude(case, solution)), 1)[0]

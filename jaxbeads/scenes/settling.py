@@ -4,19 +4,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .._checks import finite, positive, whole
-from ..chain import Chain, from_tangents, straight
-from ..constraint import Gears
+from .._checks import finite, kind, positive, whole
+from ..chain import straight
 from ..dynamics import applied_load
-from ..force import Bending, Weight
+from ..force import Weight
 from ..numbers import rigidity_from_elasto_gravitational_number
 from ..observables import deflection, friction_coefficient, rigid_resistance, tilt
 from ..rollout import Solution
 from ..scene import Scene
 from ..solver import explicit_step
 from ..solver.stepping import substeps_for
-from ..state import State
-from .case import Case, ReadyMade
+from .case import Case, ReadyMade, Value
+from .models import GEARS, AbstractModel
 
 _UP = np.array([0.0, 1.0])
 
@@ -24,26 +23,29 @@ _UP = np.array([0.0, 1.0])
 def settling(
     beads: int = 34,
     elasto_gravitational: float = 1000.0,
+    model: AbstractModel = GEARS,
     *,
     radius: float = 1.0,
     viscosity: float = 1.0,
     weight: float = 1.0,
     perturbation: float = 1e-6,
 ) -> Case:
-    """A flexible Gears fibre that settles along -y from a horizontal shape, until it is steady.
+    """A flexible fibre that settles along -y from a horizontal shape, until it is steady.
 
     Above B of about 3000 a straight start passes through a W shape which only an asymmetry can leave.
     The start therefore slopes by `perturbation` radians at one end, falling to zero at the other; a
     steady shape does not depend on it.
 
     **Arguments**: number of beads (at least 3); B = F L^2 / K_b, eq. (55), with F the whole weight;
-    a [length]; mu; weight of a bead [force]; `perturbation` [rad].
+    bead model (the paper compares 34 beads of Gears with 31 of Joint, equally long); a [length];
+    mu; weight of a bead [force]; `perturbation` [rad].
     """
     whole("beads", beads, 3)
     positive("elasto_gravitational", elasto_gravitational)
     positive("weight", weight)
     finite("perturbation", perturbation)
-    chain = Chain(radius, beads)
+    kind("model", model, AbstractModel)
+    chain = model.chain(radius, beads)
     length = float(chain.length[0])
     rigidity = rigidity_from_elasto_gravitational_number(
         elasto_gravitational, weight * beads, length
@@ -51,11 +53,14 @@ def settling(
     scene = Scene(
         chain,
         viscosity,
-        constraints=[Gears()],
-        forces=[Weight(-weight * _UP), Bending(rigidity)],
+        mobility=model.mobility,
+        constraints=model.constraints(),
+        forces=[
+            Weight(-weight * _UP),
+            *model.elasticity(chain, rigidity, drag=weight * beads),
+        ],
     )
-    slope = perturbation * np.linspace(0, 1, beads - 1) ** 2
-    state = State(from_tangents(chain, np.stack([np.cos(slope), np.sin(slope)], axis=1)))
+    state = model.state(chain, perturbation * np.minimum(np.arange(beads) / (beads - 2), 1) ** 2)
     relaxation = viscosity * length**4 / (100 * float(rigidity))  # of the slowest bending mode
     ts = np.linspace(0, 60 * relaxation, 6001)
     # Eq. (39) knows of bending only: a soft fibre must not fall by more than 0.2 a in a step either.
@@ -87,7 +92,7 @@ def _deflection(case: Case, solution: Solution) -> np.ndarray:
     return np.asarray(height / case.scene.chain.length[0])
 
 
-def _observables(case: Case, solution: Solution) -> dict[str, float]:
+def _observables(case: Case, solution: Solution) -> dict[str, Value]:
     scene, final = case.scene, solution.final
     force = jnp.sum(jnp.asarray(applied_load(0.0, final, scene).force), axis=0)
     gamma = friction_coefficient(solution.ts[-1], final, scene, force)
@@ -105,6 +110,7 @@ SETTLING = ReadyMade(
     {
         "beads": "number of beads",
         "elasto_gravitational": "B = F L^2 / K_b, eq. (55), F the weight of the fibre",
+        "model": "gears, joint or spring",
     },
     _observables,
     ("deflection $A/L$", _deflection),

@@ -2,35 +2,34 @@
 
 import numpy as np
 
-from .._checks import finite, positive, whole
-from ..chain import Chain, straight
-from ..constraint import Gears
+from .._checks import finite, kind, positive, whole
 from ..flow import Shear
-from ..force import Bending
 from ..numbers import cox_aspect_ratio, jeffery_period, rigidity_from_bending_ratio
 from ..observables import minimal_radius_of_curvature
 from ..rollout import Solution
 from ..scene import Scene
-from .case import Case, ReadyMade
+from .case import Case, ReadyMade, Value
+from .models import GEARS, AbstractModel
 
 
 def shear(
     beads: int = 35,
     bending_ratio: float = 0.04,
     intrinsic_curvature: float = 0.01,
+    model: AbstractModel = GEARS,
     *,
     radius: float = 1.0,
     viscosity: float = 1.0,
     shear_rate: float = 1.0,
 ) -> Case:
-    """A flexible Gears fibre in simple shear, started straight along the gradient.
+    """A flexible fibre in simple shear, started straight along the gradient.
 
     It swings into the flow direction and buckles during the tumble that follows, about half a period
     later; the run ends before the next one.
 
     **Arguments**: number of beads (at least 3); bending ratio BR, eq. (54), with r_e after Cox;
-    intrinsic curvature times length, kappa_eq L (0: straight at rest, an S shape); a [length]; mu;
-    shear rate.
+    intrinsic curvature times length, kappa_eq L (0: straight at rest, an S shape); bead model; a
+    [length]; mu; shear rate.
     """
     whole("beads", beads, 3)
     finite("intrinsic_curvature", intrinsic_curvature)
@@ -41,13 +40,20 @@ def shear(
         ("shear_rate", shear_rate),
     ):
         positive(name, value)
-    chain = Chain(radius, beads)
+    kind("model", model, AbstractModel)
+    chain = model.chain(radius, beads)
     rigidity = rigidity_from_bending_ratio(bending_ratio, radius, beads, viscosity, shear_rate)
-    bending = Bending(rigidity, intrinsic_curvature / chain.length[0])
-    scene = Scene(chain, viscosity, constraints=[Gears()], forces=[bending], flow=Shear(shear_rate))
+    scene = Scene(
+        chain,
+        viscosity,
+        mobility=model.mobility,
+        constraints=model.constraints(),
+        forces=model.elasticity(chain, rigidity, intrinsic_curvature / chain.length[0]),
+        flow=Shear(shear_rate),
+    )
     span = 0.75 * float(jeffery_period(cox_aspect_ratio(beads), shear_rate))
     ts = np.linspace(0, span, 20 * int(np.ceil(span * shear_rate / 0.04 / 20)) + 1)
-    return Case(scene, straight(chain, [0.0, 1.0]), ts)
+    return Case(scene, model.state(chain, np.full(beads, np.pi / 2)), ts)
 
 
 def _radius(case: Case, solution: Solution) -> np.ndarray:
@@ -56,7 +62,7 @@ def _radius(case: Case, solution: Solution) -> np.ndarray:
     return np.asarray(2 * radius / chain.length[0])
 
 
-def _observables(case: Case, solution: Solution) -> dict[str, float]:
+def _observables(case: Case, solution: Solution) -> dict[str, Value]:
     return {"min_radius": float(np.min(_radius(case, solution)))}
 
 
@@ -68,6 +74,7 @@ SHEAR = ReadyMade(
         "beads": "number of beads",
         "bending_ratio": "bending ratio BR, eq. (54)",
         "intrinsic_curvature": "intrinsic curvature times length",
+        "model": "gears, joint or spring",
     },
     _observables,
     ("largest curvature, $L/2R$", lambda case, s: 1 / _radius(case, s)),

@@ -1,0 +1,188 @@
+"""Filaments driven at their base, in the plane and about an axis (section 3.4 of the paper)."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from .._checks import positive, whole
+from ..actuation import HelicalBeat, PlanarBeat
+from ..chain import Chain, straight
+from ..constraint import Gears, PrescribedDirection, PrescribedPosition, PrescribedSpin
+from ..dynamics import constraint_load
+from ..force import Bending
+from ..geometry import norm
+from ..numbers import rigidity_from_sperm_number
+from ..observables import rigid_resistance
+from ..rollout import Solution
+from ..scene import Scene
+from ..state import State
+from .case import SAMPLES, Case, ReadyMade, Value, last_period, shape_changes
+
+_FREQUENCY = 1.0  # zeta; the unit of time
+_MOST_PERIODS = 60
+
+
+def _normal_friction(chain: Chain, viscosity: float) -> Array:
+    flat = straight(chain, [1.0, 0.0]).position
+    return rigid_resistance(flat, chain, viscosity)[1, 1]
+
+
+def _case(scene: Scene, state: State, amplitude: float) -> Case:
+    period = 2 * np.pi / _FREQUENCY
+    ts = np.linspace(0, _MOST_PERIODS * period, _MOST_PERIODS * SAMPLES + 1)
+    tolerance = 1e-4 * amplitude * float(scene.chain.length[0])
+
+    def periodic(solution: Solution) -> bool:
+        return len(solution.ts) > 2 * SAMPLES and shape_changes(solution) < tolerance
+
+    return Case(scene, state, ts, until=periodic, chunk=SAMPLES)
+
+
+def planar_beating(
+    beads: int = 20,
+    sperm_number: float = 2.2,
+    *,
+    amplitude: float = 0.435,
+    radius: float = 1.0,
+    viscosity: float = 1.0,
+) -> Case:
+    """A Gears filament whose base angle oscillates in the plane, alpha_0 sin(zeta t), eqs
+    (59)-(61), until the beat is periodic.
+
+    The first bead is held, without spin; the direction of the first bond is prescribed. zeta = 1.
+
+    **Arguments**: number of beads (at least 4); sperm number Sp, eq. (58), with gamma the normal
+    friction of the rigid straight chain; alpha_0 [rad]; a [length]; mu.
+    """
+    whole("beads", beads, 4)
+    positive("sperm_number", sperm_number)
+    positive("amplitude", amplitude)
+    chain = Chain(radius, beads)
+    friction = _normal_friction(chain, viscosity)
+    rigidity = rigidity_from_sperm_number(sperm_number, chain.length[0], _FREQUENCY, friction)
+    constraints = (
+        Gears(),
+        PrescribedPosition(),
+        PrescribedSpin(),
+        PrescribedDirection(PlanarBeat(amplitude, _FREQUENCY)),
+    )
+    scene = Scene(chain, viscosity, constraints=constraints, forces=[Bending(rigidity)])
+    first_bead_at_origin = [radius * (beads - 1), 0.0]
+    state = straight(chain, [1.0, 0.0], first_bead_at_origin)
+    return _case(scene, state, amplitude)
+
+
+def lateral_harmonic(solution: Solution, fractions: np.ndarray) -> np.ndarray:
+    """First harmonic of the lateral deflection over the last period, y = Im(c exp(i zeta t)): complex c
+    [length] at fractions of the distance between the first and the last bead's centres."""
+    ts, states = last_period(solution)
+    y = np.asarray(states.position)[:-1, :, 1]  # the last time is the first of the next period
+    beads = y.shape[1]
+    at = fractions * (beads - 1)
+    y = np.stack([np.interp(at, np.arange(beads), row) for row in y])
+    return 2j * np.mean(y * np.exp(-1j * _FREQUENCY * ts[:-1])[:, None], axis=0)
+
+
+def thrust(case: Case, solution: Solution) -> float:
+    """Mean force of the filament on its holder over the last period, against the direction in which the
+    filament extends from it [force]."""
+    ts, states = last_period(solution)
+
+    def held(at: tuple[Array, State]) -> Array:
+        force = constraint_load(at[0], at[1], case.scene).force
+        return jnp.zeros(()) if force is None else jnp.sum(force[:, 0])
+
+    forces = jax.jit(lambda ts, states: jax.lax.map(held, (ts, states)))(jnp.asarray(ts), states)
+    return float(np.mean(np.asarray(forces)[:-1]))
+
+
+def _base_angle(case: Case) -> float:
+    law = next(c for c in case.scene.constraints if isinstance(c, PrescribedDirection)).law
+    return float(law.amplitude) if isinstance(law, (PlanarBeat, HelicalBeat)) else 1.0
+
+
+def _planar(case: Case, solution: Solution) -> dict[str, Value]:
+    scene = case.scene
+    chain, alpha = scene.chain, _base_angle(case)
+    length = float(chain.length[0])
+    c = lateral_harmonic(solution, np.array([0.25, 0.5, 0.75, 1.0]))
+    scale = _normal_friction(chain, float(scene.viscosity)) / length * _FREQUENCY
+    return {
+        "amplitude": [float(x) for x in np.abs(c) / (alpha * length)],
+        "tip_phase": float(np.angle(c[-1])),
+        "thrust": thrust(case, solution) / float(scale * (alpha * length) ** 2),
+    }
+
+
+def _tip_height(case: Case, solution: Solution) -> np.ndarray:
+    return np.asarray(solution.states.position[:, -1, 1] / case.scene.chain.length[0])
+
+
+PLANAR_BEATING = ReadyMade(
+    "planar-beating",
+    "filament with an oscillating base: amplitudes along it, phase of its tip, thrust",
+    planar_beating,
+    {"beads": "number of beads", "sperm_number": "sperm number Sp, eq. (58)"},
+    _planar,
+    ("lateral position of the tip $y/L$", _tip_height),
+    co_moving=False,
+)
+
+
+def helical_beating(
+    beads: int = 10,
+    sperm_number: float = 2.2,
+    *,
+    amplitude: float = 0.262,
+    anchor: float = 2.7,
+    radius: float = 1.0,
+    viscosity: float = 1.0,
+) -> Case:
+    """A Gears filament whose base circles about the x axis at the cone angle alpha_0, eqs
+    (62)-(64), until the motion is steady.
+
+    The first bead is at delta d(t), the first bond along d(t), eq. (62); the first bead does not spin.
+    zeta = 1.
+
+    **Arguments**: number of beads (at least 4); sperm number, as for `planar_beating`; alpha_0 [rad];
+    delta over a; a [length]; mu.
+    """
+    whole("beads", beads, 4)
+    positive("sperm_number", sperm_number)
+    positive("amplitude", amplitude)
+    positive("anchor", anchor)
+    chain = Chain(radius, beads)
+    friction = _normal_friction(chain, viscosity)
+    rigidity = rigidity_from_sperm_number(sperm_number, chain.length[0], _FREQUENCY, friction)
+    direction = HelicalBeat(amplitude, _FREQUENCY)
+    constraints = (
+        Gears(),
+        PrescribedPosition(HelicalBeat(amplitude, _FREQUENCY, anchor * radius)),
+        PrescribedSpin(),
+        PrescribedDirection(direction),
+    )
+    scene = Scene(chain, viscosity, constraints=constraints, forces=[Bending(rigidity)])
+    start = direction(jnp.zeros(()))
+    state = straight(chain, start, (anchor + beads - 1) * radius * start)
+    return _case(scene, state, amplitude)
+
+
+def _tip_distance(case: Case, solution: Solution) -> np.ndarray:
+    tip = solution.states.position[:, -1, 1:]
+    return np.asarray(norm(tip) / case.scene.chain.length[0])
+
+
+def _helical(case: Case, solution: Solution) -> dict[str, Value]:
+    return {"tip_distance": float(np.mean(_tip_distance(case, solution)[-SAMPLES:]))}
+
+
+HELICAL_BEATING = ReadyMade(
+    "helical-beating",
+    "filament with a circling base: distance of its tip from the axis",
+    helical_beating,
+    {"beads": "number of beads", "sperm_number": "sperm number Sp, eq. (58)"},
+    _helical,
+    ("distance of the tip from the axis $d/L$", _tip_distance),
+    co_moving=False,
+)

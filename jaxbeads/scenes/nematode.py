@@ -1,0 +1,162 @@
+"""Undulating worms (section 3.5 of the paper): one, and two side by side."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from .._checks import positive, whole
+from ..actuation import TravellingWave
+from ..chain import Chain, straight
+from ..constraint import Gears
+from ..force import Bending, Contact
+from ..observables import power, swimming_efficiency
+from ..rollout import Solution
+from ..scene import Scene
+from ..state import State
+from .case import SAMPLES, Case, ReadyMade, Value, last_period, shape_changes
+
+_FREQUENCY = 1.0  # f; the unit of time
+STIFFNESS = 22.6
+"""2 pi f mu L^4 / K_b of the nematode Caenorhabditis elegans (Majmudar et al., 2012)."""
+
+
+def worm_amplitude(chain: Chain, peak: float) -> Array:
+    """Amplitude of the preferred curvature at the joints [1/length]: `peak` / L over the first half
+    of the length, then falling linearly to zero at the tail."""
+    fibre = chain.fibre_of_bead[1:-1]
+    s = chain.arclength[1:-1] / chain.length[fibre]
+    return peak / chain.length[fibre] * jnp.minimum(1.0, 2 * (1 - s))
+
+
+def _worms(chain: Chain, viscosity: float, phase: Array | float) -> Bending:
+    length = chain.length[0]
+    rigidity = 2 * np.pi * _FREQUENCY * viscosity * length**4 / STIFFNESS
+    wave = TravellingWave(
+        worm_amplitude(chain, 8.25), 1.5 * np.pi / length, _FREQUENCY, np.pi + jnp.asarray(phase)
+    )
+    return Bending(rigidity, wave)
+
+
+def nematode(beads: int = 15, *, radius: float = 1.0, viscosity: float = 1.0) -> Case:
+    """A Gears chain with the travelling wave of preferred curvature of a nematode,
+    kappa_0 = -A(s) sin(k s - 2 pi f t), from straight until its swimming is periodic.
+
+    A(s) = 8.25/L up to the middle and falls to 0 at the tail; k = 1.5 pi/L; 2 pi f mu L^4/K_b = 22.6;
+    f = 1 (Majmudar et al., J. R. Soc. Interface 9 (2012) 1809). It swims against its wave.
+
+    **Arguments**: number of beads (at least 4); a [length]; mu.
+    """
+    whole("beads", beads, 4)
+    chain = Chain(radius, beads)
+    scene = Scene(chain, viscosity, constraints=[Gears()], forces=[_worms(chain, viscosity, 0.0)])
+    tolerance = 1e-6 * float(chain.length[0])
+
+    def periodic(solution: Solution) -> bool:
+        return len(solution.ts) > 2 * SAMPLES and shape_changes(solution) < tolerance
+
+    ts = np.linspace(0, 30 / _FREQUENCY, 30 * SAMPLES + 1)
+    return Case(scene, straight(chain, [1.0, 0.0]), ts, until=periodic, chunk=SAMPLES)
+
+
+def swimming_speed(solution: Solution) -> float:
+    """Net displacement of the centre in the last period, per period [length]."""
+    _, states = last_period(solution)
+    centre = np.asarray(states.position).mean(axis=1)
+    return float(np.linalg.norm(centre[-1] - centre[0]))
+
+
+def mean_power(scene: Scene, solution: Solution) -> float:
+    """Mean of `observables.power` over the last period."""
+    ts, states = last_period(solution)
+
+    def one(at: tuple[Array, State]) -> Array:
+        return power(at[0], at[1], scene)
+
+    powers = jax.jit(lambda ts, states: jax.lax.map(one, (ts, states)))(jnp.asarray(ts), states)
+    return float(np.mean(np.asarray(powers)[:-1]))
+
+
+def _observables(case: Case, solution: Solution) -> dict[str, Value]:
+    scene, speed = case.scene, swimming_speed(solution)
+    mean = mean_power(scene, solution)
+    return {
+        "speed": speed / float(scene.chain.length[0]),
+        "efficiency": float(swimming_efficiency(speed * _FREQUENCY, mean, scene)),
+    }
+
+
+def _path(case: Case, solution: Solution) -> np.ndarray:
+    centre = np.asarray(solution.states.position).mean(axis=1)
+    return np.linalg.norm(centre - centre[0], axis=1) / float(case.scene.chain.length[0])
+
+
+NEMATODE = ReadyMade(
+    "nematode",
+    "undulating worm: swimming speed and efficiency",
+    nematode,
+    {"beads": "number of beads"},
+    _observables,
+    ("distance swum over $L$", _path),
+    co_moving=False,
+)
+
+
+def nematode_pair(
+    beads: int = 15,
+    distance: float = 1.0,
+    antiphase: bool = False,
+    *,
+    radius: float = 1.0,
+    viscosity: float = 1.0,
+) -> Case:
+    """Two nematodes side by side in the plane of their beat, from straight, for three periods.
+
+    Beads of the two that come closer than a tenth of a radius repel each other (`Contact`); below a
+    distance of about 0.45 L the worms touch.
+
+    **Arguments**: number of beads of each; distance of the two axes over L; whether their waves are
+    half a period apart; a [length]; mu.
+    """
+    whole("beads", beads, 4)
+    positive("distance", distance)
+    chain = Chain(radius, (beads, beads))
+    length = float(chain.length[0])
+    shift = np.where(chain.fibre_of_bead[1:-1] == 1, np.pi * antiphase, 0.0)
+    bending = _worms(chain, viscosity, jnp.asarray(shift))
+    contact = Contact(20 * bending.rigidity / length**2, 0.1 * radius, 0.1 * radius)
+    scene = Scene(chain, viscosity, constraints=[Gears()], forces=[bending, contact])
+    centres = [[0.0, -0.5 * distance * length], [0.0, 0.5 * distance * length]]
+    ts = np.linspace(0, 3 / _FREQUENCY, 3 * SAMPLES + 1)
+    return Case(scene, straight(chain, [1.0, 0.0], centres), ts)
+
+
+def _advance(solution: Solution) -> float:
+    """Displacement of the centre along x in the third period [length]."""
+    centre = np.asarray(solution.states.position)[:, :, 0].mean(axis=1)
+    return float(centre[3 * SAMPLES] - centre[2 * SAMPLES])
+
+
+def _pair(case: Case, solution: Solution) -> dict[str, Value]:
+    chain = case.scene.chain
+    alone = nematode(
+        chain.fibres[0], radius=float(chain.radius), viscosity=float(case.scene.viscosity)
+    )
+    ts = np.asarray(alone.ts)[: 3 * SAMPLES + 1]
+    one = alone._replace(ts=ts, until=None).simulate(progress=False)
+    return {"speed_ratio": _advance(solution) / _advance(one)}
+
+
+NEMATODE_PAIR = ReadyMade(
+    "nematode-pair",
+    "two undulating worms side by side: their speed over that of one",
+    nematode_pair,
+    {
+        "beads": "number of beads of each",
+        "distance": "distance of the two over L",
+        "antiphase": "waves half a period apart",
+    },
+    _pair,
+    ("distance swum over $L$", _path),
+    co_moving=False,
+)

@@ -1,0 +1,90 @@
+"""Spiral swimmer: two perpendicular waves of curvature in quadrature."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from .._checks import positive, whole
+from ..actuation import TravellingWave, TwoPlanes
+from ..chain import Chain, straight
+from ..constraint import Gears
+from ..dynamics import motion
+from ..force import Bending
+from ..rollout import Solution
+from ..scene import Scene
+from ..state import State
+from .case import SAMPLES, Case, ReadyMade, Value, last_period, shape_changes
+from .nematode import STIFFNESS, swimming_speed, worm_amplitude
+
+
+def spiral(
+    beads: int = 15,
+    frequency: float = STIFFNESS,
+    *,
+    curvature: float = 4.0,
+    radius: float = 1.0,
+    viscosity: float = 1.0,
+) -> Case:
+    """A Gears chain in space that bends in two perpendicular planes, a quarter of a period apart: a
+    helical wave runs along it, and it swims against the wave. From straight until the swimming is
+    periodic.
+
+    Each plane has the nematode's wave, with the peak curvature `curvature` / L (see
+    `actuation.TwoPlanes`). The shape turns about the axis once a period; the beads counter-rotate,
+    because no torque acts on the whole: `rotation` is their mean spin about the swimming axis over
+    2 pi f.
+
+    **Arguments**: number of beads (at least 4); frequency as 2 pi f mu L^4/K_b; peak curvature
+    times L; a [length]; mu. The time unit is a period.
+    """
+    whole("beads", beads, 4)
+    positive("frequency", frequency)
+    positive("curvature", curvature)
+    chain = Chain(radius, beads)
+    length = chain.length[0]
+    rigidity = 2 * np.pi * viscosity * length**4 / frequency
+    amplitude = worm_amplitude(chain, curvature)
+    waves = [TravellingWave(amplitude, 1.5 * np.pi / length, 1.0, p) for p in (0.0, np.pi / 2)]
+    bending = Bending(rigidity, TwoPlanes(*waves))
+    scene = Scene(chain, viscosity, constraints=[Gears()], forces=[bending])
+    tolerance = 1e-5 * float(length)
+
+    def periodic(solution: Solution) -> bool:
+        return len(solution.ts) > 2 * SAMPLES and shape_changes(solution) < tolerance
+
+    ts = np.linspace(0.0, 30.0, 30 * SAMPLES + 1)
+    return Case(scene, straight(chain, [1.0, 0.0, 0.0]), ts, until=periodic, chunk=SAMPLES)
+
+
+def _observables(case: Case, solution: Solution) -> dict[str, Value]:
+    scene = case.scene
+    ts, states = last_period(solution)
+    centre = np.asarray(states.position).mean(axis=1)
+    axis = (centre[-1] - centre[0]) / np.linalg.norm(centre[-1] - centre[0])
+
+    def spin(at: tuple[Array, State]) -> Array:
+        turning = motion(at[0], at[1], scene).spin
+        return jnp.zeros(3) if turning is None else jnp.mean(turning, axis=0)
+
+    spins = jax.jit(lambda ts, states: jax.lax.map(spin, (ts, states)))(jnp.asarray(ts), states)
+    return {
+        "speed": swimming_speed(solution) / float(scene.chain.length[0]),
+        "rotation": float(np.asarray(spins)[:-1].mean(axis=0) @ axis) / (2 * np.pi),
+    }
+
+
+def _path(case: Case, solution: Solution) -> np.ndarray:
+    centre = np.asarray(solution.states.position).mean(axis=1)
+    return np.linalg.norm(centre - centre[0], axis=1) / float(case.scene.chain.length[0])
+
+
+SPIRAL = ReadyMade(
+    "spiral",
+    "swimmer with a helical wave: speed and rotation",
+    spiral,
+    {"beads": "number of beads", "frequency": "frequency as 2 pi f mu L^4/K_b"},
+    _observables,
+    ("distance swum over $L$", _path),
+    co_moving=False,
+)
