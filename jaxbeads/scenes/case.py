@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -81,18 +82,23 @@ def shape_changes(solution: Solution) -> float:
     return float(np.abs(shape[-SAMPLES:] - shape[-2 * SAMPLES : -SAMPLES]).max())
 
 
+@eqx.filter_jit
+def _lateral_jacobian(scene: Scene, t: Array, held: int) -> Array:
+    flat = straight(scene.chain, [1.0, 0.0]).position
+
+    def lateral(y: Array) -> Array:
+        return motion(t, State(flat.at[held:, 1].set(y)), scene).velocity[held:, 1]
+
+    return jax.jacfwd(lateral)(jnp.zeros(scene.chain.beads - held))
+
+
 def lateral_modes(scene: Scene, t: float = 0.0, held: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """Growth rates of small deflections from a straight planar fibre along x, fastest growing first,
     and their shapes in columns.
 
     **Arguments**: `held`: number of beads at the first end that do not move.
     """
-    flat = straight(scene.chain, [1.0, 0.0]).position
-
-    def lateral(y: Array) -> Array:
-        return motion(t, State(flat.at[held:, 1].set(y)), scene).velocity[held:, 1]
-
-    jacobian = jax.jit(jax.jacfwd(lateral))(jnp.zeros(scene.chain.beads - held))
+    jacobian = _lateral_jacobian(scene, jnp.asarray(t), held)
     values, shapes = np.linalg.eig(np.asarray(jacobian))
     order = np.argsort(-np.real(values))
     return values[order], shapes[:, order]

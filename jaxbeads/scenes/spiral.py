@@ -22,7 +22,7 @@ def spiral(
     beads: int = 15,
     frequency: float = STIFFNESS,
     *,
-    curvature: float = 4.0,
+    curvature: float = 2.0,
     radius: float = 1.0,
     viscosity: float = 1.0,
 ) -> Case:
