@@ -4,22 +4,46 @@ import diffrax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbeads import AB3, Chain, Scene, State, from_tangents
-from jaxbeads.constraint import FrozenJoints, Gears
+from jaxbeads import AB3, Chain, Scene, State, from_directors, from_tangents
+from jaxbeads.actuation import FourierCurvature, TravellingWave
+from jaxbeads.constraint import (
+    EqualSpins,
+    FrozenJoints,
+    Gears,
+    Inextensible,
+    Joint,
+    PrescribedDirection,
+    PrescribedLengths,
+    PrescribedPosition,
+    PrescribedSpin,
+)
 from jaxbeads.flow import Extension, LinearFlow, OscillatingShear, Poiseuille, Shear, VelocityField
 from jaxbeads.force import (
     Bending,
     BendingEnergy,
+    Contact,
+    Follower,
     ForceField,
     Potential,
     SineRuleCurvature,
+    Spring,
     Weight,
 )
 from jaxbeads.mobility import RPY, FreeDraining
 
-MOBILITIES = [FreeDraining(), RPY()]
+MOBILITIES = [FreeDraining(), RPY(), RPY(strained=False)]
 
-CONSTRAINTS = [Gears(), FrozenJoints()]
+CONSTRAINTS = [
+    Gears(),
+    Joint(),
+    Inextensible(),
+    FrozenJoints(),
+    EqualSpins(),
+    PrescribedPosition(bead=3),
+    PrescribedSpin(bead=-1),
+    PrescribedDirection(bond=1),
+    PrescribedLengths(lambda t: 2 + 0.1 * jnp.sin(t + jnp.arange(8.0))),
+]
 
 FLOWS = [
     Shear(0.7),
@@ -37,6 +61,12 @@ FORCES = [
     Bending(30.0, 0.02, SineRuleCurvature()),
     BendingEnergy(30.0, 0.02),
     BendingEnergy(30.0, 0.02, SineRuleCurvature()),
+    Bending(30.0, TravellingWave(0.2, 0.4, 1.5, 0.3)),
+    Bending(30.0, FourierCurvature([[0.1, 0.2], [0.0, -0.1]], [[0.0, 0.1], [0.0, 0.3]], 0.7)),
+    Spring(20.0),
+    Contact(5.0, 2.5, 1.0),
+    Follower(0.7),
+    Follower(0.7, end=0),
     ForceField(lambda t, x: -0.1 * x),
     Potential(lambda t, x: 0.05 * jnp.sum(x**2) * (1 + t)),
 ]
@@ -68,6 +98,14 @@ def bent(chain: Chain, dim: int = 2, seed: int = 0, centre=None) -> State:
         rise = 0.5 * np.sin(2 * np.pi * s + rng.uniform(0, 6))
         e = [e[0] * np.cos(rise), e[1] * np.cos(rise), np.sin(rise)]
     return State(from_tangents(chain, np.stack(e, axis=1), centre))
+
+
+def jointed(chain: Chain, dim: int = 2, seed: int = 0, centre=None) -> State:
+    """A bent chain of the Joint Model: directors between the tangents of `bent`."""
+    position = bent(chain, dim, seed).position
+    step = jnp.diff(position, axis=0)
+    directors = jnp.pad(step, ((0, 1), (0, 0))) + jnp.pad(step, ((1, 0), (0, 0)))
+    return from_directors(chain, directors, centre)
 
 
 def scene(chain: Chain, dim: int = 2, flow=True, **options) -> Scene:

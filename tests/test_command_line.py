@@ -11,19 +11,44 @@ from PIL import Image
 
 import jaxbeads
 from jaxbeads.__main__ import main
-from jaxbeads.scenes import SCENES
+from jaxbeads.scenes import MODELS, SCENES
 
 RUN = {"wall_s", "compile_s", "steps", "constraint_residual", "bond_length_error"}
 # Options with which a scene is quick (a stiff fibre is steady soon), and its observables.
 QUICK = {
-    "jeffery": ("--beads 4", {"period"}),
-    "shear": ("--beads 5 --bending-ratio 0.1", {"min_radius"}),
+    "jeffery": ("--beads 4 --model joint", {"period"}),
+    "shear": ("--beads 5 --bending-ratio 0.1 --model joint", {"min_radius"}),
     "settling": (
         "--beads 5 --elasto-gravitational 0.1",
         {"deflection", "friction_ratio", "tilt"},
     ),
     "relaxation": ("--beads 5 --mode 2", {"rate"}),
+    "planar-beating": (
+        "--beads 5 --sperm-number 1.5",
+        {"amplitude", "tip_phase", "thrust"},
+    ),
+    "helical-beating": ("--beads 5 --sperm-number 1.5", {"tip_distance"}),
+    "follower-force": ("--beads 6 --force 70", {"growth_rate", "flaps"}),
+    "nematode": ("--beads 7", {"speed", "efficiency"}),
+    "nematode-pair": ("--beads 7 --distance 0.8 --antiphase", {"speed_ratio"}),
+    "spiral": ("--beads 7 --frequency 10", {"speed", "rotation"}),
+    "three-sphere": ("--separation 20 --stroke 0.2", {"displacement", "theory_ratio"}),
 }
+
+
+def python_options(words):
+    values = {}
+    for k, word in enumerate(words):
+        name = word.removeprefix("--").replace("-", "_")
+        if word.startswith("--"):
+            flag = k + 1 == len(words) or words[k + 1].startswith("--")
+            values[name] = True if flag else words[k + 1]
+    for name, value in values.items():
+        if name == "model":
+            values[name] = MODELS[value]
+        elif isinstance(value, str):
+            values[name] = json.loads(value)
+    return values
 
 
 @pytest.fixture
@@ -50,18 +75,18 @@ def test_results_as_json(ready, shell):
     options, observables = QUICK[ready.name]
     lines, results = shell(f"{ready.name} {options}")
     assert set(results) == observables | RUN
-    assert all(np.isfinite(value) for value in results.values())
+    assert all(np.all(np.isfinite(value)) for value in results.values())
     assert results["steps"] > 0 and results["wall_s"] > 0 and results["compile_s"] >= 0
     assert results["constraint_residual"] < 1e-12 and results["bond_length_error"] < 0.01
     for name in observables:  # for people, too
         (line,) = (line for line in lines[:-1] if line.split()[0] == name)
-        assert np.isclose(float(line.split()[1]), results[name], rtol=1e-5)
+        shown, value = line.split()[1:], results[name]
+        if isinstance(value, bool):
+            assert shown == ["yes" if value else "no"]
+        else:
+            assert np.allclose(np.array(shown, float), value, rtol=1e-5)
     # The same run from Python.
-    words = options.split()
-    values = {
-        k.lstrip("-").replace("-", "_"): v for k, v in zip(words[::2], words[1::2], strict=True)
-    }
-    case = ready.build(**{name: json.loads(value) for name, value in values.items()})
+    case = ready.build(**python_options(options.split()))
     expected = ready.observables(case, case.simulate(progress=False))
     assert expected == {name: results[name] for name in observables}
 

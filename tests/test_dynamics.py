@@ -7,63 +7,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import CONSTRAINTS, FLOWS, FORCES, MOBILITIES, bent, name, scene, spatial
+from cases import CONSTRAINTS, FLOWS, FORCES, MOBILITIES, bent, jointed, name, scene, spatial
+from dense import dense_motion, flat
 
-from jaxbeads import Chain, Load, Motion, Scene, State, dynamics, from_tangents, straight
-from jaxbeads.constraint import AbstractConstraint, FrozenJoints, Gears
+from jaxbeads import Chain, Load, Scene, State, dynamics, from_tangents, straight
+from jaxbeads.actuation import TravellingWave, TwoPlanes
+from jaxbeads.constraint import AbstractChainConstraint, AbstractConstraint, FrozenJoints, Gears
 from jaxbeads.flow import Shear
 from jaxbeads.force import Bending, BendingEnergy, ForceField, SineRuleCurvature, Weight
 from jaxbeads.mobility import RPY, AbstractMobility
-from jaxbeads.state import zero_motion
 from jaxbeads.tensors import PairTensor
-
-
-def flat(motion):
-    return np.concatenate([np.ravel(x) for x in jax.tree.leaves(motion)])
-
-
-def dense_motion(t, state, scene):
-    """Independent route: the whole saddle-point system (M^-1, J^T; J, 0) by dense elimination."""
-    beads, dim = state.position.shape
-    rest = zero_motion(state, scene.rotational)
-    sizes = [np.size(x) for x in jax.tree.leaves(rest)]
-
-    def unflat(vector):
-        parts = jnp.split(jnp.asarray(vector), np.cumsum(sizes)[:-1])
-        return [p.reshape(beads, -1) for p in parts]
-
-    operator = scene.mobility.operator(
-        state.position, scene.chain.radius, scene.viscosity, scene.rotational
-    )
-    mobility = np.stack(
-        [flat(operator.motion(Load(*unflat(unit)))) for unit in np.eye(sum(sizes))], axis=1
-    )
-
-    def slip(vector):
-        return np.concatenate(
-            [
-                np.ravel(c.slip(jnp.asarray(t), state, Motion(*unflat(vector)), scene.chain))
-                for c in scene.constraints
-            ]
-        )
-
-    offset = slip(np.zeros(sum(sizes)))
-    jacobian = np.stack([slip(unit) - offset for unit in np.eye(sum(sizes))], axis=1)
-    live = np.abs(jacobian).max(axis=1) > 0  # rows between two fibres say nothing
-    jacobian, offset = jacobian[live], offset[live]
-    load = dynamics.applied_load(t, state, scene)
-    ambient = dynamics.ambient_motion(t, state, scene)
-    blank = [np.zeros((beads, dim)), np.zeros_like(rest.spin) if rest.spin is not None else None]
-    parts = [load.force, load.torque]
-    applied = [b if p is None else p for p, b in zip(parts, blank, strict=True) if b is not None]
-    free = flat(ambient) if ambient is not None else np.zeros(sum(sizes))
-    resistance, rows = np.linalg.inv(mobility), len(jacobian)
-    system = np.block([[resistance, -jacobian.T], [jacobian, np.zeros((rows, rows))]])
-    right = np.concatenate(
-        [np.concatenate([np.ravel(a) for a in applied]) + resistance @ free, -offset]
-    )
-    return np.linalg.solve(system, right)[: sum(sizes)]
-
 
 RADII = [1.0, np.linspace(0.7, 1.2, 9)]
 FIBRES = [9, (4, 5), (2, 1, 3, 3)]
@@ -83,6 +36,7 @@ def test_matches_the_dense_saddle_point_system(mobility, dim, radius, fibres):
     assert np.abs(moved - reference).max() < 1e-12 * np.abs(reference).max()
 
 
+PLANAR_ONLY, ALONE = {"FrozenJoints"}, {"PrescribedLengths"}
 PAIRS = [(force, FLOWS[0]) for force in FORCES] + [(FORCES[0], flow) for flow in FLOWS[1:]]
 
 
@@ -94,9 +48,12 @@ def test_every_force_and_flow_in_plane_and_space(force, flow):
     solid = force
     if isinstance(force, Weight):
         solid = Weight(jnp.pad(force.force, (0, 1)))
-    if isinstance(force, Bending):
+    if isinstance(force, Bending) and not callable(force.intrinsic_curvature):
         vectors = jnp.full((5, 3), force.intrinsic_curvature) * np.array([[0.0, 0.0, 1.0]])
         solid = Bending(force.rigidity, vectors, force.law)
+    if isinstance(force, Bending) and callable(force.intrinsic_curvature):  # bends in the x-y plane
+        still = TravellingWave(0.0, 1.0, 1.0)
+        solid = Bending(force.rigidity, TwoPlanes(still, force.intrinsic_curvature), force.law)
     if isinstance(force, BendingEnergy):  # in space it knows no signed curvature
         force = solid = BendingEnergy(force.rigidity, 0.0, force.law)
     model = Scene(chain, 0.8, constraints=[Gears()], forces=[force], flow=flow)
@@ -238,9 +195,20 @@ def test_a_users_mobility_without_pair_tensor():
 @pytest.mark.parametrize("constraint", CONSTRAINTS, ids=name)
 def test_constraints_hold(constraint):
     chain = Chain(1.0, (5, 4))
-    state = bent(chain, centre=[[0.0, 0.0], [0.0, 6.0]])
-    model = scene(chain, constraints=[constraint])
-    assert float(dynamics.constraint_residual(0.0, state, model)) < 1e-13
+    # Together with the chain's own constraint, in the plane and in space.
+    for dim in (2, 3):
+        if dim == 3 and type(constraint).__name__ in PLANAR_ONLY:
+            continue
+        centre = [[0.0] * dim, [0.0, 6.0, *[0.0] * (dim - 2)]]
+        state = (jointed if constraint.oriented else bent)(chain, dim, centre=centre)
+        alone = (
+            isinstance(constraint, AbstractChainConstraint) or type(constraint).__name__ in ALONE
+        )
+        model = scene(chain, dim, constraints=[constraint] if alone else [Gears(), constraint])
+        assert float(dynamics.constraint_residual(0.3, state, model)) < 1e-13
+        reference = dense_motion(0.3, state, model)
+        moved = flat(dynamics.motion(0.3, state, model))
+        assert np.abs(moved - reference).max() < 1e-11 * np.abs(reference).max()
 
 
 def test_fibres_far_apart_do_not_feel_one_another():
