@@ -24,23 +24,27 @@ def jeffery_period(equivalent_aspect_ratio: Any, shear_rate: Any) -> Array:
     return 2 * np.pi * (r + 1 / r) / shear_rate
 
 
-def _bending_ratio_scale(radius: Any, beads: Any) -> Array:
+def _bending_ratio_scale(radius: Any, aspect_ratio: Any) -> Array:
     """BR mu shear_rate / K_b."""
-    slender = jnp.log(2 * cox_aspect_ratio(beads)) - 1.5
-    return 4 * slender / (np.pi * jnp.asarray(radius) ** 4 * 2 * jnp.asarray(beads, float) ** 4)
+    r_p = jnp.asarray(aspect_ratio, float)
+    slender = jnp.log(2 * cox_aspect_ratio(r_p)) - 1.5
+    return 4 * slender / (np.pi * jnp.asarray(radius) ** 4 * 2 * r_p**4)
 
 
-def bending_ratio(rigidity: Any, radius: Any, beads: Any, viscosity: Any, shear_rate: Any) -> Array:
+def bending_ratio(
+    rigidity: Any, radius: Any, aspect_ratio: Any, viscosity: Any, shear_rate: Any
+) -> Array:
     """BR = E (ln 2 r_e - 1.5) / (2 mu shear_rate r_p^4), eq. (54), with K_b = pi a^4 E / 4, r_p the
-    number of beads and r_e after Cox, eq. (52). Small values: flexible."""
-    return rigidity * _bending_ratio_scale(radius, beads) / (viscosity * shear_rate)
+    aspect ratio L/(2a) (the number of touching beads) and r_e after Cox, eq. (52). Small values:
+    flexible."""
+    return rigidity * _bending_ratio_scale(radius, aspect_ratio) / (viscosity * shear_rate)
 
 
 def rigidity_from_bending_ratio(
-    ratio: Any, radius: Any, beads: Any, viscosity: Any, shear_rate: Any
+    ratio: Any, radius: Any, aspect_ratio: Any, viscosity: Any, shear_rate: Any
 ) -> Array:
     """K_b [force length^2] of the bending ratio, the inverse of `bending_ratio`."""
-    return ratio * viscosity * shear_rate / _bending_ratio_scale(radius, beads)
+    return ratio * viscosity * shear_rate / _bending_ratio_scale(radius, aspect_ratio)
 
 
 def elasto_gravitational_number(weight: Any, length: Any, rigidity: Any) -> Array:

@@ -50,7 +50,7 @@ def follower_force(
         forces=[Bending(rigidity), push],
     )
     slope = perturbation * np.linspace(0, 1, beads - 1) ** 2
-    position = from_tangents(chain, np.stack([np.cos(slope), np.sin(slope)], axis=1))
+    position = np.asarray(from_tangents(chain, np.stack([np.cos(slope), np.sin(slope)], axis=1)))
     state = State(position - position[0])
     growth = abs(float(np.real(growth_rates(scene)[0])))
     unit = viscosity * length**4 / rigidity

@@ -42,7 +42,10 @@ def shear(
         positive(name, value)
     kind("model", model, AbstractModel)
     chain = model.chain(radius, beads)
-    rigidity = rigidity_from_bending_ratio(bending_ratio, radius, beads, viscosity, shear_rate)
+    aspect_ratio = chain.length[0] / (2 * radius)  # the number of beads, if they touch
+    rigidity = rigidity_from_bending_ratio(
+        bending_ratio, radius, aspect_ratio, viscosity, shear_rate
+    )
     scene = Scene(
         chain,
         viscosity,
