@@ -143,7 +143,7 @@ def _evaluate(t: Time, state: State, scene: Scene) -> Evaluation:
     factor = lax.linalg.cholesky(matrix, symmetrize_input=False)
     # A row that depends on those before it leaves a pivot of rounding size, or NaN.
     pivot = jnp.diagonal(factor) ** 2 / jnp.diagonal(matrix)
-    regular = jnp.min(pivot) > 10 * len(pivot) * jnp.finfo(pivot.dtype).eps
+    regular = jnp.min(pivot, initial=1.0) > 10 * len(pivot) * jnp.finfo(pivot.dtype).eps
 
     def solve(_: Callable[[Array], Array], rhs: Array) -> Array:
         return jax.scipy.linalg.cho_solve((factor, True), jnp.where(regular, rhs, jnp.nan))
@@ -215,8 +215,9 @@ def redundancy(t: Time, state: State, scene: Scene) -> str | None:
     offset = np.asarray(_slips(time, state, scene)(still))
     size = np.abs(null).T @ np.abs(offset)
     clash = np.any(np.abs(null.T @ offset) > 1e-8 * np.where(size == 0, 1.0, size))
+    verb = "depends" if null.shape[1] == 1 else "depend"
     how = "contradict one another" if clash else "are redundant"
-    return f"{' + '.join(names)} {how}: {null.shape[1]} of their rows depends on the others"
+    return f"{' + '.join(names)} {how}: {null.shape[1]} of their rows {verb} on the others"
 
 
 def constraint_residual(t: Time, state: State, scene: Scene) -> Float[Array, ""]:

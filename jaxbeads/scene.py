@@ -1,6 +1,6 @@
 """`Scene`: the model, all parameters and terms; `check`: whether a state fits it."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import equinox as eqx
@@ -144,7 +144,8 @@ def _check_terms(scene: Scene, dim: int) -> None:
             vectors = ((number, 2), (number, 3)) if spatial else ()
             if callable(curvature):
                 along = jnp.zeros(number)
-                curvature = jax.eval_shape(curvature, jnp.zeros(()), along, along)
+                name_of = f"{name}.intrinsic_curvature"
+                curvature = _outcome(name_of, f"{number} joints", curvature, along, along)
             shape(f"{name}.intrinsic_curvature", curvature, (), (number,), *vectors)
         if isinstance(term, Spring):
             shape("Spring.stiffness", term.stiffness, (), (bonds,))
@@ -180,4 +181,13 @@ def _check_index(name: str, index: int, number: int) -> None:
 
 def _check_law(name: str, law: Any, size: tuple[int, ...]) -> None:
     if law is not None:
-        shape(f"{name}.law", jax.eval_shape(law, jnp.zeros(())), size)
+        shape(f"{name}.law", _outcome(f"{name}.law", "a time", law), size)
+
+
+def _outcome(name: str, given: str, function: Callable[..., Any], *arguments: Array) -> Any:
+    """Shape of a user's function of time, without computing anything."""
+    try:
+        return jax.eval_shape(function, jnp.zeros(()), *arguments)
+    except Exception as error:
+        first = str(error).strip().splitlines()[0].rstrip(".")
+        fail(name, f"be a function that can be called with {given}", f"it raises: {first}")

@@ -16,6 +16,7 @@ from .case import Case as Case
 from .case import ReadyMade as ReadyMade
 from .case import Value as Value
 from .case import last_period as last_period
+from .case import swimming_speed as swimming_speed
 from .follower_force import FOLLOWER_FORCE
 from .follower_force import follower_force as follower_force
 from .follower_force import growth_rates as growth_rates
@@ -33,7 +34,6 @@ from .nematode import NEMATODE, NEMATODE_PAIR
 from .nematode import mean_power as mean_power
 from .nematode import nematode as nematode
 from .nematode import nematode_pair as nematode_pair
-from .nematode import swimming_speed as swimming_speed
 from .relaxation import RELAXATION
 from .relaxation import relaxation as relaxation
 from .settling import SETTLING

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..chain import straight
+from ..chain import Chain, straight
 from ..dynamics import motion
 from ..rollout import Solution
 from ..scene import Scene
@@ -80,6 +80,21 @@ def shape_changes(solution: Solution) -> float:
     position = np.asarray(solution.states.position)
     shape = position - position.mean(axis=1, keepdims=True)
     return float(np.abs(shape[-SAMPLES:] - shape[-2 * SAMPLES : -SAMPLES]).max())
+
+
+def swimming_speed(solution: Solution) -> float:
+    """Net displacement of the centre in the last period, per period [length]."""
+    _, states = last_period(solution)
+    centre = np.asarray(states.position).mean(axis=1)
+    return float(np.linalg.norm(centre[-1] - centre[0]))
+
+
+def worm_amplitude(chain: Chain, peak: float) -> Array:
+    """Amplitude of the preferred curvature at the joints [1/length]: `peak` / L over the first half
+    of the length, then falling linearly to zero at the tail."""
+    fibre = chain.fibre_of_bead[1:-1]
+    s = chain.arclength[1:-1] / chain.length[fibre]
+    return peak / chain.length[fibre] * jnp.minimum(1.0, 2 * (1 - s))
 
 
 @eqx.filter_jit

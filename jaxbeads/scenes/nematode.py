@@ -14,24 +14,25 @@ from ..observables import power, swimming_efficiency
 from ..rollout import Solution
 from ..scene import Scene
 from ..state import State
-from .case import SAMPLES, Case, ReadyMade, Value, last_period, shape_changes
+from .case import (
+    SAMPLES,
+    Case,
+    ReadyMade,
+    Value,
+    last_period,
+    shape_changes,
+    swimming_speed,
+    worm_amplitude,
+)
 
 _FREQUENCY = 1.0  # f; the unit of time
-STIFFNESS = 22.6
+_STIFFNESS = 22.6
 """2 pi f mu L^4 / K_b of the nematode Caenorhabditis elegans (Majmudar et al., 2012)."""
-
-
-def worm_amplitude(chain: Chain, peak: float) -> Array:
-    """Amplitude of the preferred curvature at the joints [1/length]: `peak` / L over the first half
-    of the length, then falling linearly to zero at the tail."""
-    fibre = chain.fibre_of_bead[1:-1]
-    s = chain.arclength[1:-1] / chain.length[fibre]
-    return peak / chain.length[fibre] * jnp.minimum(1.0, 2 * (1 - s))
 
 
 def _worms(chain: Chain, viscosity: float, phase: Array | float) -> Bending:
     length = chain.length[0]
-    rigidity = 2 * np.pi * _FREQUENCY * viscosity * length**4 / STIFFNESS
+    rigidity = 2 * np.pi * _FREQUENCY * viscosity * length**4 / _STIFFNESS
     wave = TravellingWave(
         worm_amplitude(chain, 8.25), 1.5 * np.pi / length, _FREQUENCY, np.pi + jnp.asarray(phase)
     )
@@ -57,13 +58,6 @@ def nematode(beads: int = 15, *, radius: float = 1.0, viscosity: float = 1.0) ->
 
     ts = np.linspace(0, 30 / _FREQUENCY, 30 * SAMPLES + 1)
     return Case(scene, straight(chain, [1.0, 0.0]), ts, until=periodic, chunk=SAMPLES)
-
-
-def swimming_speed(solution: Solution) -> float:
-    """Net displacement of the centre in the last period, per period [length]."""
-    _, states = last_period(solution)
-    centre = np.asarray(states.position).mean(axis=1)
-    return float(np.linalg.norm(centre[-1] - centre[0]))
 
 
 def mean_power(scene: Scene, solution: Solution) -> float:

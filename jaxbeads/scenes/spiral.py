@@ -14,13 +14,21 @@ from ..force import Bending
 from ..rollout import Solution
 from ..scene import Scene
 from ..state import State
-from .case import SAMPLES, Case, ReadyMade, Value, last_period, shape_changes
-from .nematode import STIFFNESS, swimming_speed, worm_amplitude
+from .case import (
+    SAMPLES,
+    Case,
+    ReadyMade,
+    Value,
+    last_period,
+    shape_changes,
+    swimming_speed,
+    worm_amplitude,
+)
 
 
 def spiral(
     beads: int = 15,
-    frequency: float = STIFFNESS,
+    frequency: float = 22.6,
     *,
     curvature: float = 2.0,
     radius: float = 1.0,
