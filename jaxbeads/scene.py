@@ -1,6 +1,6 @@
 """`Scene`: the model, all parameters and terms; `check`: whether a state fits it."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Any
 
 import equinox as eqx
@@ -13,18 +13,11 @@ from jaxtyping import Array, Float
 from ._checks import described, fail, finite, kind, positive, shape
 from ._typing import float_array
 from .chain import Chain
-from .constraint import (
-    AbstractConstraint,
-    FrozenJoints,
-    PrescribedDirection,
-    PrescribedLengths,
-    PrescribedPosition,
-    PrescribedSpin,
-)
-from .flow import AbstractFlow, LinearFlow
-from .force import AbstractForce, Bending, BendingEnergy, JointBending, Spring, Weight
+from .constraint import AbstractConstraint
+from .flow import AbstractFlow
+from .force import AbstractForce
 from .mobility import RPY, AbstractMobility
-from .state import State, spins
+from .state import State
 
 
 def _terms(terms: Any) -> Any:
@@ -117,7 +110,10 @@ def check(
     for leaf in jax.tree.leaves(scene):
         if position.dtype == jnp.float32 and getattr(leaf, "dtype", None) == jnp.float64:
             fail("scene", "be in float32 as the state is", "it holds numbers in float64")
-    _check_terms(scene, dim)
+    for term in (*scene.constraints, *scene.forces):
+        term.check(chain, dim)
+    if scene.flow is not None:
+        scene.flow.check(dim)
     tracers = any(isinstance(x, Tracer) for x in (position, chain.radius))
     if not overlap and not tracers:
         x, a = np.asarray(position), np.asarray(chain.radii)
@@ -127,67 +123,3 @@ def check(
         if gap[i, j] < -0.01 * a.min():
             must = "hold no overlapping beads in this scene"
             fail("state", must, f"beads {i} and {j} overlap by {-gap[i, j]:.3g}")
-
-
-def _check_terms(scene: Scene, dim: int) -> None:
-    beads = scene.chain.beads
-    bonds, joints = max(beads - 1, 0), max(beads - 2, 0)
-    for term in scene.forces:
-        name = type(term).__name__
-        if isinstance(term, Weight):
-            shape("Weight.force", term.force, (dim,), (beads, dim))
-        if isinstance(term, (Bending, BendingEnergy, JointBending)):
-            number = bonds if isinstance(term, JointBending) else joints
-            curvature = term.intrinsic_curvature
-            shape(f"{name}.rigidity", term.rigidity, (), (number,))
-            spatial = dim == 3 and not isinstance(term, BendingEnergy)
-            vectors = ((number, 2), (number, 3)) if spatial else ()
-            if callable(curvature):
-                along = jnp.zeros(number)
-                name_of = f"{name}.intrinsic_curvature"
-                curvature = _outcome(name_of, f"{number} joints", curvature, along, along)
-            shape(f"{name}.intrinsic_curvature", curvature, (), (number,), *vectors)
-        if isinstance(term, Spring):
-            shape("Spring.stiffness", term.stiffness, (), (bonds,))
-    for term in scene.constraints:
-        _check_constraint(term, beads, dim)
-    if isinstance(scene.flow, LinearFlow):
-        shape("LinearFlow.matrix", scene.flow.matrix, (dim, dim))
-        if dim == 3:
-            trace, size = jnp.trace(scene.flow.matrix), jnp.max(jnp.abs(scene.flow.matrix))
-            if not isinstance(trace, Tracer) and abs(trace) > 1e-6 * size:
-                fail("LinearFlow.matrix", "have no trace (incompressible)", f"it is {trace:g}")
-
-
-def _check_constraint(term: AbstractConstraint, beads: int, dim: int) -> None:
-    name = type(term).__name__
-    if isinstance(term, FrozenJoints) and dim != 2:
-        fail("state", "be planar for FrozenJoints", "it is three-dimensional")
-    if isinstance(term, (PrescribedPosition, PrescribedSpin)):
-        _check_index(f"{name}.bead", term.bead, beads)
-        size = (spins(dim),) if isinstance(term, PrescribedSpin) else (dim,)
-        _check_law(name, term.law, size)
-    if isinstance(term, PrescribedDirection):
-        _check_index(f"{name}.bond", term.bond, beads - 1)
-        _check_law(name, term.law, (dim,))
-    if isinstance(term, PrescribedLengths):
-        _check_law(name, term.law, (beads - 1,))
-
-
-def _check_index(name: str, index: int, number: int) -> None:
-    if not -number <= index < number:
-        fail(name, f"lie between {-number} and {number - 1}", f"it is {index}")
-
-
-def _check_law(name: str, law: Any, size: tuple[int, ...]) -> None:
-    if law is not None:
-        shape(f"{name}.law", _outcome(f"{name}.law", "a time", law), size)
-
-
-def _outcome(name: str, given: str, function: Callable[..., Any], *arguments: Array) -> Any:
-    """Shape of a user's function of time, without computing anything."""
-    try:
-        return jax.eval_shape(function, jnp.zeros(()), *arguments)
-    except Exception as error:
-        first = str(error).strip().splitlines()[0].rstrip(".")
-        fail(name, f"be a function that can be called with {given}", f"it raises: {first}")

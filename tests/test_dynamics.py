@@ -14,7 +14,14 @@ from jaxbeads import Chain, Load, Scene, State, dynamics, from_tangents, straigh
 from jaxbeads.actuation import TravellingWave, TwoPlanes
 from jaxbeads.constraint import AbstractChainConstraint, AbstractConstraint, FrozenJoints, Gears
 from jaxbeads.flow import Shear
-from jaxbeads.force import Bending, BendingEnergy, ForceField, SineRuleCurvature, Weight
+from jaxbeads.force import (
+    Bending,
+    BendingEnergy,
+    DrivingMoment,
+    ForceField,
+    SineRuleCurvature,
+    Weight,
+)
 from jaxbeads.mobility import RPY, AbstractMobility
 from jaxbeads.tensors import PairTensor
 
@@ -54,6 +61,8 @@ def test_every_force_and_flow_in_plane_and_space(force, flow):
     if isinstance(force, Bending) and callable(force.intrinsic_curvature):  # bends in the x-y plane
         still = TravellingWave(0.0, 1.0, 1.0)
         solid = Bending(force.rigidity, TwoPlanes(still, force.intrinsic_curvature), force.law)
+    if isinstance(force, DrivingMoment):
+        solid = DrivingMoment(TwoPlanes(TravellingWave(0.0, 1.0, 1.0), force.moment))
     if isinstance(force, BendingEnergy):  # in space it knows no signed curvature
         force = solid = BendingEnergy(force.rigidity, 0.0, force.law)
     model = Scene(chain, 0.8, constraints=[Gears()], forces=[force], flow=flow)

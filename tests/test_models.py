@@ -33,6 +33,7 @@ from jaxbeads.force import (
     Bending,
     BendingEnergy,
     Contact,
+    DrivingMoment,
     Follower,
     JointBending,
     JointRepulsion,
@@ -485,6 +486,25 @@ def test_preferred_curvature_is_the_shape_at_rest():
     ).final.position
     wanted = np.abs(wanted) / 1.5 * np.sqrt(2)
     assert np.abs(jb.observables.curvature(end, chain) - wanted).max() < 1e-8
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_driving_moments_are_those_of_a_preferred_curvature(dim):
+    chain = Chain(np.linspace(0.9, 1.2, 9), (5, 4))
+    state = bent(chain, dim, centre=[[0.0] * dim, [9.0] * dim])
+    wave = WAVE if dim == 2 else TwoPlanes(WAVE, TravellingWave(0.1, 0.2, 0.7))
+    rigidity = 20.0
+
+    def moment(t, s, length):
+        return rigidity * wave(t, s, length)
+
+    def torque(force):
+        return force.load(jnp.asarray(0.4), state, chain).torque
+
+    driven = torque(DrivingMoment(moment))
+    difference = torque(Bending(rigidity, wave)) - torque(Bending(rigidity))
+    assert np.abs(np.asarray(driven - difference)).max() < 1e-13
+    assert np.abs(driven).max() > 1
 
 
 def test_turned_is_the_smallest_rotation():

@@ -31,6 +31,9 @@ class AbstractConstraint(eqx.Module):
     def slip(self, t: Float[Array, ""], state: State, motion: Motion, chain: Chain) -> Array:
         """What the constraint sets to zero; affine in `motion`, any shape, independent entries."""
 
+    def check(self, chain: Chain, dim: int) -> None:
+        """Refuse a chain or a dimension that the constraint cannot serve, in one sentence."""
+
 
 class AbstractChainConstraint(AbstractConstraint):
     """A constraint that links neighbours at fixed distances.

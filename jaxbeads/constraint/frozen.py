@@ -20,10 +20,13 @@ class FrozenJoints(AbstractConstraint):
 
     rotational: ClassVar[bool] = False
 
+    def check(self, chain: Chain, dim: int) -> None:
+        """Planar scenes only."""
+        if dim != 2:
+            fail("state", "be planar for FrozenJoints", "it is three-dimensional")
+
     def slip(self, t: Float[Array, ""], state: State, motion: Motion, chain: Chain) -> Array:
         """Difference of the turning rates of the two bonds at each joint [1/time], `(joints,)`."""
-        if state.position.shape[1] != 2:
-            fail("state", "be planar for FrozenJoints", "it is three-dimensional")
         d = bonds(state.position)
         turning = cross(d, bonds(motion.velocity))[:, 0] / (d * d).sum(axis=1)
         return (turning[1:] - turning[:-1])[chain.joint_mask]

@@ -15,11 +15,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._checks import whole
+from .._checks import index, law, whole
 from .._typing import leaf_function
 from ..chain import Chain
 from ..geometry import bonds, cross, norm, tangents, unit
-from ..state import Motion, State
+from ..state import Motion, State, spins
 from .base import AbstractConstraint
 
 Law = Callable[[Array], Array]
@@ -52,6 +52,11 @@ class PrescribedPosition(AbstractConstraint):
     def __check_init__(self) -> None:
         whole("bead", self.bead, -(10**9))
 
+    def check(self, chain: Chain, dim: int) -> None:
+        """A bead of the chain, and a law of the scene's dimension."""
+        index("PrescribedPosition.bead", self.bead, chain.beads)
+        law("PrescribedPosition.law", self.law, (dim,))
+
     def slip(self, t: Float[Array, ""], state: State, motion: Motion, chain: Chain) -> Array:
         """Velocity of the bead minus that of the law [length/time], `(dim,)`."""
         velocity = motion.velocity[self.bead]
@@ -74,6 +79,11 @@ class PrescribedSpin(AbstractConstraint):
 
     def __check_init__(self) -> None:
         whole("bead", self.bead, -(10**9))
+
+    def check(self, chain: Chain, dim: int) -> None:
+        """A bead of the chain, and a law of the scene's dimension."""
+        index("PrescribedSpin.bead", self.bead, chain.beads)
+        law("PrescribedSpin.law", self.law, (spins(dim),))
 
     def slip(self, t: Float[Array, ""], state: State, motion: Motion, chain: Chain) -> Array:
         """Spin of the bead minus that of the law [1/time], `(spins,)`."""
@@ -102,6 +112,11 @@ class PrescribedDirection(AbstractConstraint):
     def __check_init__(self) -> None:
         whole("bond", self.bond, -(10**9))
 
+    def check(self, chain: Chain, dim: int) -> None:
+        """A bond of the chain, and a law of the scene's dimension."""
+        index("PrescribedDirection.bond", self.bond, chain.beads - 1)
+        law("PrescribedDirection.law", self.law, (dim,))
+
     def slip(self, t: Float[Array, ""], state: State, motion: Motion, chain: Chain) -> Array:
         """Normal velocity of the bond's end about its start minus the law's [length/time],
         `(dim - 1,)`."""
@@ -128,6 +143,10 @@ class PrescribedLengths(AbstractConstraint):
 
     rotational: ClassVar[bool] = False
     law: Law = eqx.field(converter=leaf_function)
+
+    def check(self, chain: Chain, dim: int) -> None:
+        """A length for each bond."""
+        law("PrescribedLengths.law", self.law, (chain.beads - 1,))
 
     def slip(self, t: Float[Array, ""], state: State, motion: Motion, chain: Chain) -> Array:
         """Rate of each bond's length minus the law's [length/time], of the bonds that exist."""

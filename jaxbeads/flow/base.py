@@ -11,6 +11,9 @@ from jaxtyping import Array, Float
 class AbstractFlow(eqx.Module):
     """Velocity of the undisturbed fluid. Spin and rate of strain follow by differentiation."""
 
+    def check(self, dim: int) -> None:
+        """Refuse a dimension that the flow cannot serve, in one sentence."""
+
     @abc.abstractmethod
     def velocity(self, t: Float[Array, ""], x: Float[Array, " dim"]) -> Float[Array, " dim"]:
         """Velocity at the point x [length/time]."""

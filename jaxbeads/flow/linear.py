@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._checks import fail, finite, shape
+from .._checks import fail, finite, known, shape
 from .._typing import float_array
 from .base import AbstractLinearFlow
 
@@ -83,6 +83,14 @@ class LinearFlow(AbstractLinearFlow):
         if self.matrix.shape not in ((2, 2), (3, 3)):
             fail("matrix", "have shape (2, 2) or (3, 3)", f"it has shape {self.matrix.shape}")
         finite("matrix", self.matrix)
+
+    def check(self, dim: int) -> None:
+        """A matrix of the scene's dimension, without a trace in space."""
+        shape("LinearFlow.matrix", self.matrix, (dim, dim))
+        if dim == 3 and known(self.matrix):
+            trace, size = jnp.trace(self.matrix), jnp.max(jnp.abs(self.matrix))
+            if abs(trace) > 1e-6 * size:
+                fail("LinearFlow.matrix", "have no trace (incompressible)", f"it is {trace:g}")
 
     def gradient(self, t: Float[Array, ""], dim: int) -> Float[Array, "dim dim"]:
         """The matrix."""

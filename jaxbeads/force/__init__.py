@@ -1,7 +1,8 @@
 """Forces and torques on beads.
 
 Elasticity: `Bending` (torques), `BendingEnergy` (the same as a potential), `JointBending` (of the Joint
-Model, with `JointRepulsion`), `Spring`. Others: `Weight`, `Follower`, `Contact`, and a user's function
+Model, with `JointRepulsion`), `Spring`. Active: `DrivingMoment`, `Follower`. Others:
+`Weight`, `Contact`, and a user's function
 as `ForceField` or `Potential`. A new one is a class derived from `AbstractForce` or `AbstractPotential`
 in a file of its own, a line here and a line in `tests/cases.py`.
 """
@@ -10,6 +11,7 @@ from .base import AbstractForce as AbstractForce
 from .base import AbstractPotential as AbstractPotential
 from .bending import Bending as Bending
 from .bending import BendingEnergy as BendingEnergy
+from .bending import DrivingMoment as DrivingMoment
 from .contact import Contact as Contact
 from .curvature import AbstractCurvatureLaw as AbstractCurvatureLaw
 from .curvature import CrossProductCurvature as CrossProductCurvature

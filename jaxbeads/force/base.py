@@ -24,6 +24,9 @@ class AbstractForce(eqx.Module):
     def load(self, t: Float[Array, ""], state: State, chain: Chain) -> Load:
         """Forces and torques on the beads."""
 
+    def check(self, chain: Chain, dim: int) -> None:
+        """Refuse a chain or a dimension that the force cannot serve, in one sentence."""
+
     def explicit_step(self, chain: Chain, viscosity: Float[Array, ""]) -> Float[Array, ""]:
         """Time step [time] that is safe for explicit solvers where this force is stiff; infinite
         unless a force knows better."""

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._checks import kind
+from .._checks import along, kind, shape
 from .._typing import float_array
 from ..chain import Chain
 from ..geometry import tangents, turning_angles
@@ -24,6 +24,7 @@ from .curvature import (
     curvature_at_rest,
     end_to_end,
     moments,
+    oriented,
     rest_at,
 )
 
@@ -47,6 +48,16 @@ def _bending_step(rigidity: Array, chain: Chain, viscosity: Float[Array, ""]) ->
     stiffest = jnp.max(rigidity)
     step = viscosity * (2 * jnp.min(chain.radius + chain.gap)) ** 4
     return jnp.where(stiffest == 0, jnp.inf, step / jnp.where(stiffest == 0, 1.0, stiffest))
+
+
+def _torques(moments: Float[Array, "joints spins"], chain: Chain) -> Float[Array, "beads spins"]:
+    """Torques on the beads from moments at the inner beads."""
+    m = jnp.pad(moments, ((1, 1), (0, 0)))
+    couple = m[1:] - m[:-1]
+    share = (chain.reach[:-1] / chain.bond_length)[:, None]
+    first = jnp.pad(share * couple, ((0, 1), (0, 0)))
+    second = jnp.pad((1 - share) * couple, ((1, 0), (0, 0)))
+    return first + second
 
 
 class Bending(AbstractForce):
@@ -94,25 +105,55 @@ class Bending(AbstractForce):
     ) -> Float[Array, "joints spins"]:
         """Moment m_i at each inner bead [force length]; zero where fibres end."""
         e = tangents(state.position)
-        rest, span = _rest(self.intrinsic_curvature, t, chain), _joint_length(chain)
         axis = end_to_end(state.position, chain)[1:-1]
-        m = moments(self.rigidity, self.law, e[:-1], e[1:], span, rest, axis)
+        rest = oriented(_rest(self.intrinsic_curvature, t, chain), e[:-1], e[1:], axis)
+        m = moments(self.rigidity, self.law, e[:-1], e[1:], _joint_length(chain), rest)
         return m * chain.joint_mask[:, None]
 
     def load(self, t: Float[Array, ""], state: State, chain: Chain) -> Load:
         """Torques on the beads."""
         if chain.beads < 3:
             return Load()
-        m = jnp.pad(self.moments(t, state, chain), ((1, 1), (0, 0)))
-        couple = m[1:] - m[:-1]
-        share = (chain.reach[:-1] / chain.bond_length)[:, None]
-        first = jnp.pad(share * couple, ((0, 1), (0, 0)))
-        second = jnp.pad((1 - share) * couple, ((1, 0), (0, 0)))
-        return Load(torque=first + second)
+        return Load(torque=_torques(self.moments(t, state, chain), chain))
+
+    def check(self, chain: Chain, dim: int) -> None:
+        """Shapes that fit the joints."""
+        joints, name = max(chain.beads - 2, 0), type(self).__name__
+        shape(f"{name}.rigidity", self.rigidity, (), (joints,))
+        along(f"{name}.intrinsic_curvature", self.intrinsic_curvature, joints, spatial=dim == 3)
 
     def explicit_step(self, chain: Chain, viscosity: Float[Array, ""]) -> Float[Array, ""]:
         """The paper's step (39)."""
         return _bending_step(self.rigidity, chain, viscosity)
+
+
+class DrivingMoment(AbstractForce):
+    """Active moments at the inner beads, given as such: torques of -m(s, t) shared as in `Bending`.
+
+    m = K_b kappa_0 drives as the preferred curvature kappa_0 of `Bending(K_b, kappa_0)` does; positive
+    moments bend a planar fibre anticlockwise. The torques sum to zero.
+
+    **Argument**: `moment`: as `intrinsic_curvature` of `Bending` [force length]: numbers, or a
+    function of time, arclength and length.
+    """
+
+    rotational: ClassVar[bool] = True
+    moment: Curvature
+
+    def __init__(self, moment: Any) -> None:
+        self.moment = curvature_at_rest(moment)
+
+    def check(self, chain: Chain, dim: int) -> None:
+        """A shape that fits the joints."""
+        along("DrivingMoment.moment", self.moment, max(chain.beads - 2, 0), spatial=dim == 3)
+
+    def load(self, t: Float[Array, ""], state: State, chain: Chain) -> Load:
+        """Torques on the beads."""
+        if chain.beads < 3:
+            return Load()
+        e, axis = tangents(state.position), end_to_end(state.position, chain)[1:-1]
+        m = oriented(_rest(self.moment, t, chain), e[:-1], e[1:], axis)
+        return Load(torque=_torques(-m * chain.joint_mask[:, None], chain))
 
 
 class BendingEnergy(AbstractPotential):
@@ -150,6 +191,12 @@ class BendingEnergy(AbstractPotential):
         rest = _rest(self.intrinsic_curvature, t, chain) * turning_angles(state.position)
         joint = self.rigidity * (self.law.energy(cosine) / _joint_length(chain) - rest)
         return jnp.sum(joint * chain.joint_mask)
+
+    def check(self, chain: Chain, dim: int) -> None:
+        """Shapes that fit the joints."""
+        joints, name = max(chain.beads - 2, 0), type(self).__name__
+        shape(f"{name}.rigidity", self.rigidity, (), (joints,))
+        along(f"{name}.intrinsic_curvature", self.intrinsic_curvature, joints, spatial=False)
 
     def explicit_step(self, chain: Chain, viscosity: Float[Array, ""]) -> Float[Array, ""]:
         """The paper's step (39)."""

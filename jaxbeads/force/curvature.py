@@ -99,21 +99,31 @@ def moments(
     before: Float[Array, "joints dim"],
     after: Float[Array, "joints dim"],
     span: Float[Array, " joints"],
-    rest: Float[Array, " joints"] | Float[Array, "joints 2"] | Float[Array, "joints 3"],
-    axis: Float[Array, "joints dim"],
+    rest: Float[Array, "joints spins"],
 ) -> Float[Array, "joints spins"]:
     """K_b (kappa - kappa_0) at joints where a tangent turns from `before` to `after` over the arclength
-    `span`. In space one number of `rest` acts along the present binormal, two along the normals that
-    belong to the fibre's end-to-end direction `axis`, three are a vector."""
+    `span`."""
     sine, cosine = cross(before, after), jnp.sum(before * after, axis=-1)
     curvature = (law.secant(cosine) / span)[:, None] * sine
-    if rest.ndim < 2:
-        binormal = unit(sine) if sine.shape[1] == 3 else jnp.ones_like(sine)
-        rest = rest[:, None] * binormal
-    elif rest.shape[1] == 2:
-        x = jnp.broadcast_to(jnp.eye(3, dtype=axis.dtype)[0], axis.shape)
-        rest = turned(turned(jnp.pad(rest, ((0, 0), (1, 0))), x, axis), axis, unit(before + after))
     return jnp.broadcast_to(rigidity, cosine.shape)[:, None] * (curvature - rest)
+
+
+def oriented(
+    rest: Float[Array, " joints"] | Float[Array, "joints 2"] | Float[Array, "joints 3"],
+    before: Float[Array, "joints dim"],
+    after: Float[Array, "joints dim"],
+    axis: Float[Array, "joints dim"],
+) -> Float[Array, "joints spins"]:
+    """`rest` as vectors. In space one number acts along the present binormal, two along the normals that
+    belong to the fibre's end-to-end direction `axis`, three are a vector already."""
+    if rest.ndim < 2:
+        sine = cross(before, after)
+        return rest[:, None] * (unit(sine) if sine.shape[1] == 3 else jnp.ones_like(sine))
+    if rest.shape[1] == 2:
+        x = jnp.broadcast_to(jnp.eye(3, dtype=axis.dtype)[0], axis.shape)
+        inner = turned(jnp.pad(rest, ((0, 0), (1, 0))), x, axis)
+        return turned(inner, axis, unit(before + after))
+    return rest
 
 
 def end_to_end(position: Float[Array, "beads dim"], chain: Chain) -> Float[Array, "beads dim"]:

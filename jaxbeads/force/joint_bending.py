@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._checks import fail, kind, non_negative, positive, shape
+from .._checks import along, fail, kind, non_negative, positive, shape
 from .._typing import float_array
 from ..chain import Chain
 from ..geometry import bonds, norm, unit
@@ -22,6 +22,7 @@ from .curvature import (
     curvature_at_rest,
     end_to_end,
     moments,
+    oriented,
     rest_at,
 )
 
@@ -117,7 +118,8 @@ class JointBending(AbstractForce):
             link = chain.arclength[:-1] + chain.reach[:-1]
             rest = rest_at(rest, t, link, chain.length[chain.fibre_of_bead[:-1]])
         axis = end_to_end(state.position, chain)[:-1]
-        m = moments(self.rigidity, self.law, p[:-1], p[1:], chain.bond_length, rest, axis)
+        rest = oriented(rest, p[:-1], p[1:], axis)
+        m = moments(self.rigidity, self.law, p[:-1], p[1:], chain.bond_length, rest)
         return m * chain.bond_mask[:, None]
 
     def load(self, t: Float[Array, ""], state: State, chain: Chain) -> Load:
@@ -143,6 +145,12 @@ class JointBending(AbstractForce):
         push = (scale[fibre[:-1]] * profile * chain.bond_mask)[:, None] * unit(d)
         force = jnp.pad(push, ((1, 0), (0, 0))) - jnp.pad(push, ((0, 1), (0, 0)))
         return Load(force, torque)
+
+    def check(self, chain: Chain, dim: int) -> None:
+        """Shapes that fit the joints."""
+        joints, name = max(chain.beads - 1, 0), type(self).__name__
+        shape(f"{name}.rigidity", self.rigidity, (), (joints,))
+        along(f"{name}.intrinsic_curvature", self.intrinsic_curvature, joints, spatial=dim == 3)
 
     def explicit_step(self, chain: Chain, viscosity: Float[Array, ""]) -> Float[Array, ""]:
         """A third of the paper's step (39): a joint's moment turns single beads, whose fastest rate is

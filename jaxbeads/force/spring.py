@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._checks import fail, non_negative
+from .._checks import fail, non_negative, shape
 from .._typing import float_array
 from ..chain import Chain
 from ..geometry import bond_lengths
@@ -35,6 +35,10 @@ class Spring(AbstractPotential):
             must = "be one number or one for each bond"
             fail("stiffness", must, f"it has shape {self.stiffness.shape}")
         non_negative("stiffness", self.stiffness)
+
+    def check(self, chain: Chain, dim: int) -> None:
+        """One stiffness for each bond."""
+        shape("Spring.stiffness", self.stiffness, (), (max(chain.beads - 1, 0),))
 
     def energy(self, t: Float[Array, ""], state: State, chain: Chain) -> Float[Array, ""]:
         """Energy of all springs [force length]."""

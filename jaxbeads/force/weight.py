@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._checks import fail, finite
+from .._checks import fail, finite, shape
 from .._typing import float_array
 from ..chain import Chain
 from ..state import Load, State
@@ -33,6 +33,10 @@ class Weight(AbstractForce):
         if self.force.ndim not in (1, 2) or self.force.shape[-1] not in (2, 3):
             fail("force", "have shape (dim,) or (beads, dim)", f"it has shape {self.force.shape}")
         finite("force", self.force)
+
+    def check(self, chain: Chain, dim: int) -> None:
+        """A force of the scene's dimension."""
+        shape("Weight.force", self.force, (dim,), (chain.beads, dim))
 
     def load(self, t: Float[Array, ""], state: State, chain: Chain) -> Load:
         """The weight of each bead."""
