@@ -110,8 +110,8 @@ def step_advice(scene: Scene, step: float) -> str:
     if not np.isfinite(limit):
         return f" The time step was {step:.3g}; try more `substeps`."
     return (
-        f" The time step was {step:.3g}, {step / limit:.3g} times that of eq. (39) (AB3 is stable to "
-        "about 2.2 times); use more `substeps` or a `controller`."
+        f" The time step was {step:.3g}, {step / limit:.3g} times `solver.explicit_step`, eq. (39) for "
+        "bending (AB3 is stable to about 2.2 times); use more `substeps` or a `controller`."
     )
 
 

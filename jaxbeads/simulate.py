@@ -12,7 +12,6 @@ import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Array, Float
-from tqdm.auto import tqdm
 
 from ._checks import described, fail, increasing, positive, whole
 from ._typing import float_array
@@ -186,8 +185,8 @@ def _warn_of_large_step(scene: Scene, stepper: Stepper, ts: Array) -> None:
         step, limit = float(np.max(np.diff(ts))) / stepper.substeps, float(explicit_step(scene))
         if step > 2.2 * limit:
             warnings.warn(
-                f"The time step {step:.3g} is {step / limit:.3g} times that of eq. (39); AB3 is stable "
-                "to about 2.2 times.",
+                f"The time step {step:.3g} is {step / limit:.3g} times `solver.explicit_step` (eq. (39) "
+                "for bending); AB3 is stable to about 2.2 times.",
                 stacklevel=3,
             )
 
@@ -223,6 +222,8 @@ class _Run:
         """From interval number `done` to the end."""
         parts, status, intervals = [first], "finished", len(self.ts) - 1
         length = _chunk_length(intervals, self.chunk)
+        from tqdm.auto import tqdm  # it warns on import in a notebook without widgets
+
         try:
             with tqdm(total=intervals, initial=done, disable=not self.progress) as bar:
                 while done < intervals:

@@ -125,7 +125,7 @@ def test_rates_of_joint_chains_bound_the_explicit_step():
     fastest = -np.linalg.eigvals(np.asarray(jax.jacfwd(turning)(jnp.zeros(12)))).real.min()
     limit = 6 / 11 / fastest  # of AB3 on the real axis
     step = float(jb.solver.explicit_step(scene))
-    assert 0.5 * limit < step < limit
+    assert 0.35 * limit < step < 0.5 * limit
 
 
 def test_joints_stay_together():
@@ -143,7 +143,21 @@ def test_joints_stay_together():
     drift = Joint().drift(free.final, chain)
     p, r = np.asarray(free.final.director), np.asarray(free.final.position)
     gap = np.linalg.norm(r[:-1] + 1.1 * p[:-1] - r[1:] + 1.1 * p[1:], axis=1)
-    assert np.abs(drift - gap / 2.2).max() < 1e-15
+    off = np.abs(np.linalg.norm(p, axis=1) - 1)
+    assert np.abs(drift - np.maximum(gap / 2.2, np.maximum(off[1:], off[:-1]))).max() < 1e-15
+
+
+def test_a_joint_chain_that_blows_up_is_stopped():
+    # Its joints hold to rounding even then, because eq. (2) is linear; the directors' lengths tell.
+    chain = Chain(1.0, 6, gap=0.1)
+    scene = Scene(chain, 1.0, constraints=[Joint()], forces=[JointBending(30.0)], flow=Shear(0.5))
+    step = float(jb.solver.explicit_step(scene))
+    ts = np.arange(40) * 40 * step
+    with (
+        pytest.warns(UserWarning, match="AB3 is stable to about 2.2 times"),
+        pytest.raises(jb.SimulationError, match="is off its length|no finite position"),
+    ):
+        simulate(scene, jointed(chain), ts, substeps=13, progress=False)
 
 
 def test_repulsion_profile():

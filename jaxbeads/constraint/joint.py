@@ -69,11 +69,14 @@ class Joint(AbstractChainConstraint):
         return s.T
 
     def drift(self, state: State, chain: Chain) -> Float[Array, " bonds"]:
-        """Distance of the two beads' joints, over the bond length."""
+        """Distance of the two beads' joints over the bond length, or the error of their directors'
+        lengths if that is larger: time stepping keeps eq. (2), which is linear, even where it fails."""
         if state.director is None:
             raise ValueError("Argument `state` must hold directors for Joint, but it holds none.")
         apart = norm(bonds(state.position) - linked(chain, state.director))
-        return apart / chain.bond_length * chain.bond_mask
+        off = jnp.abs(norm(state.director) - 1)
+        worst = jnp.maximum(apart / chain.bond_length, jnp.maximum(off[:-1], off[1:]))
+        return worst * chain.bond_mask
 
     def project(self, state: State, chain: Chain) -> State:
         """Directors of length one, and beads set along them so that the joints coincide."""

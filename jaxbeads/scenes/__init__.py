@@ -16,6 +16,7 @@ from .case import Case as Case
 from .case import ReadyMade as ReadyMade
 from .case import Value as Value
 from .case import last_period as last_period
+from .case import lateral_modes as lateral_modes
 from .case import swimming_speed as swimming_speed
 from .follower_force import FOLLOWER_FORCE
 from .follower_force import follower_force as follower_force

@@ -1,6 +1,5 @@
 """Filaments driven at their base, in the plane and about an axis (section 3.4 of the paper)."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -17,10 +16,10 @@ from ..observables import rigid_resistance
 from ..rollout import Solution
 from ..scene import Scene
 from ..state import State
-from .case import SAMPLES, Case, ReadyMade, Value, last_period, shape_changes
+from .case import SAMPLES, Case, ReadyMade, Value, last_period, over_time, shape_changes
 
 _FREQUENCY = 1.0  # zeta; the unit of time
-_MOST_PERIODS = 60
+_MOST_PERIODS = 200
 
 
 def _normal_friction(chain: Chain, viscosity: float) -> Array:
@@ -31,7 +30,7 @@ def _normal_friction(chain: Chain, viscosity: float) -> Array:
 def _case(scene: Scene, state: State, amplitude: float) -> Case:
     period = 2 * np.pi / _FREQUENCY
     ts = np.linspace(0, _MOST_PERIODS * period, _MOST_PERIODS * SAMPLES + 1)
-    tolerance = 1e-4 * amplitude * float(scene.chain.length[0])
+    tolerance = 2e-5 * amplitude * float(scene.chain.length[0])
 
     def periodic(solution: Solution) -> bool:
         return len(solution.ts) > 2 * SAMPLES and shape_changes(solution) < tolerance
@@ -88,13 +87,9 @@ def thrust(case: Case, solution: Solution) -> float:
     """Mean force of the filament on its holder over the last period, against the direction in which the
     filament extends from it [force]."""
     ts, states = last_period(solution)
-
-    def held(at: tuple[Array, State]) -> Array:
-        force = constraint_load(at[0], at[1], case.scene).force
-        return jnp.zeros(()) if force is None else jnp.sum(force[:, 0])
-
-    forces = jax.jit(lambda ts, states: jax.lax.map(held, (ts, states)))(jnp.asarray(ts), states)
-    return float(np.mean(np.asarray(forces)[:-1]))
+    loads = over_time(constraint_load, ts, states, case.scene)
+    force = np.asarray(loads.force)[:-1, :, 0]  # the last time is the first of the next period
+    return float(force.sum(axis=1).mean())
 
 
 def _base_angle(case: Case) -> float:

@@ -1,5 +1,6 @@
 """What a ready-made scene consists of."""
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -40,7 +41,13 @@ class Case(NamedTuple):
         own: dict[str, Any] = {"until": self.until, "chunk": self.chunk}
         if options.get("controller") is None:
             own["substeps"] = self.substeps
-        return simulate(self.scene, self.state, self.ts, **{**own, **options})
+        solution = simulate(self.scene, self.state, self.ts, **{**own, **options})
+        if self.until is not None and solution.status == "finished":
+            warnings.warn(
+                f"The run is not yet steady or periodic at its last time, t = {self.ts[-1]:g}.",
+                stacklevel=2,
+            )
+        return solution
 
 
 @dataclass(frozen=True)
@@ -75,11 +82,20 @@ def last_period(solution: Solution) -> tuple[np.ndarray, State]:
     return np.asarray(solution.ts)[last], jax.tree.map(lambda x: x[last], solution.states)
 
 
+@eqx.filter_jit
+def over_time(function: Callable[..., Any], ts: Any, states: State, scene: Scene) -> Any:
+    """`function(t, state, scene)` at each time."""
+    return jax.lax.map(lambda at: function(at[0], at[1], scene), (jnp.asarray(ts), states))
+
+
 def shape_changes(solution: Solution) -> float:
-    """Largest change of the shape (about its centre) from one period to the next [length]."""
+    """Largest distance of a bead from where it was one period earlier, once both shapes are laid over
+    one another (moved and turned), over the last period [length]."""
     position = np.asarray(solution.states.position)
     shape = position - position.mean(axis=1, keepdims=True)
-    return float(np.abs(shape[-SAMPLES:] - shape[-2 * SAMPLES : -SAMPLES]).max())
+    now, before = shape[-SAMPLES:], shape[-2 * SAMPLES : -SAMPLES]
+    u, _, v = np.linalg.svd(np.swapaxes(now, 1, 2) @ before)  # Kabsch: the best rotation
+    return float(np.abs(now @ (u @ v) - before).max())
 
 
 def swimming_speed(solution: Solution) -> float:

@@ -1,6 +1,5 @@
 """Undulating worms (section 3.5 of the paper): one, and two side by side."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -13,13 +12,13 @@ from ..force import Bending, Contact
 from ..observables import power, swimming_efficiency
 from ..rollout import Solution
 from ..scene import Scene
-from ..state import State
 from .case import (
     SAMPLES,
     Case,
     ReadyMade,
     Value,
     last_period,
+    over_time,
     shape_changes,
     swimming_speed,
     worm_amplitude,
@@ -63,12 +62,7 @@ def nematode(beads: int = 15, *, radius: float = 1.0, viscosity: float = 1.0) ->
 def mean_power(scene: Scene, solution: Solution) -> float:
     """Mean of `observables.power` over the last period."""
     ts, states = last_period(solution)
-
-    def one(at: tuple[Array, State]) -> Array:
-        return power(at[0], at[1], scene)
-
-    powers = jax.jit(lambda ts, states: jax.lax.map(one, (ts, states)))(jnp.asarray(ts), states)
-    return float(np.mean(np.asarray(powers)[:-1]))
+    return float(np.mean(np.asarray(over_time(power, ts, states, scene))[:-1]))
 
 
 def _observables(case: Case, solution: Solution) -> dict[str, Value]:

@@ -1,9 +1,6 @@
 """Spiral swimmer: two perpendicular waves of curvature in quadrature."""
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from .._checks import positive, whole
 from ..actuation import TravellingWave, TwoPlanes
@@ -13,13 +10,13 @@ from ..dynamics import motion
 from ..force import Bending
 from ..rollout import Solution
 from ..scene import Scene
-from ..state import State
 from .case import (
     SAMPLES,
     Case,
     ReadyMade,
     Value,
     last_period,
+    over_time,
     shape_changes,
     swimming_speed,
     worm_amplitude,
@@ -71,14 +68,10 @@ def _observables(case: Case, solution: Solution) -> dict[str, Value]:
     centre = np.asarray(states.position).mean(axis=1)
     axis = (centre[-1] - centre[0]) / np.linalg.norm(centre[-1] - centre[0])
 
-    def spin(at: tuple[Array, State]) -> Array:
-        turning = motion(at[0], at[1], scene).spin
-        return jnp.zeros(3) if turning is None else jnp.mean(turning, axis=0)
-
-    spins = jax.jit(lambda ts, states: jax.lax.map(spin, (ts, states)))(jnp.asarray(ts), states)
+    spins = np.asarray(over_time(motion, ts, states, scene).spin).mean(axis=1)
     return {
         "speed": swimming_speed(solution) / float(scene.chain.length[0]),
-        "rotation": float(np.asarray(spins)[:-1].mean(axis=0) @ axis) / (2 * np.pi),
+        "rotation": float(spins[:-1].mean(axis=0) @ axis) / (2 * np.pi),
     }
 
 
