@@ -176,8 +176,8 @@ def test_settling_fibre(number, height, friction):
 
 @pytest.mark.slow
 def test_settling_fibre_leaves_the_w_shape():
-    # [paper] Fig. 10, B = 10^4: a W at t = 12 L/V_s, with V_s the terminal speed, gives way to a horseshoe
-    # by t = 53 L/V_s. What breaks the symmetry is the stated perturbation of the start.
+    # [paper] Fig. 10, B = 10^4: a W at t = 12 L/V_s, with V_s the terminal speed, gives way to a
+    # horseshoe by t = 53 L/V_s. What breaks the symmetry is the stated perturbation of the start.
     case = scenes.settling(34, 10_000.0)
     run = case.simulate(progress=False)
     length = float(case.scene.chain.length[0])
