@@ -152,7 +152,7 @@ def main(words: list[str] | None = None) -> int:
     if arguments.scene is None:
         print("Scenes (python -m jaxbeads SCENE --help shows a scene's options):")
         for ready in SCENES:
-            print(f"  {ready.name:<14}{ready.summary}")
+            print(f"  {ready.name:<16}{ready.summary}")
         return 0
     jax.config.update("jax_enable_x64", True)  # a program of its own may choose; a library may not
     ready = next(r for r in SCENES if r.name == arguments.scene)

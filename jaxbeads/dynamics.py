@@ -221,15 +221,20 @@ def redundancy(t: Time, state: State, scene: Scene) -> str | None:
 
 
 def constraint_residual(t: Time, state: State, scene: Scene) -> Float[Array, ""]:
-    """Norm of J Qdot + B over the scale of the velocities and the number of rows, eq. (49).
+    """Norm of J Qdot + B over the number of rows and the scale of the velocities, eq. (49).
 
-    Zero up to rounding when the multipliers do their work.
+    Zero up to rounding when the multipliers do their work. The scale is the largest velocity that beads
+    have, or would have without constraints: a fibre at rest may be held against large forces.
     """
     if not scene.constraints:
         return jnp.zeros((), state.position.dtype)
     moved = motion(t, state, scene)
     slip = _slips(t, state, scene)(moved)
-    scale = jnp.max(jnp.abs(moved.velocity))
+    operator = scene.mobility.operator(
+        state.position, scene.chain.radius, scene.viscosity, scene.rotational
+    )
+    free = _free_motion(t, state, scene, operator)
+    scale = jnp.maximum(jnp.max(jnp.abs(moved.velocity)), jnp.max(jnp.abs(free.velocity)))
     return jnp.linalg.norm(slip) / (max(slip.shape[0], 1) * jnp.where(scale == 0, 1.0, scale))
 
 

@@ -28,11 +28,11 @@ QUICK = {
         {"amplitude", "tip_phase", "thrust"},
     ),
     "helical-beating": ("--beads 5 --sperm-number 1.5", {"tip_distance"}),
-    "follower-force": ("--beads 6 --force 70", {"growth_rate", "flaps"}),
+    "follower-force": ("--beads 6 --force 70.0", {"growth_rate", "flaps"}),
     "nematode": ("--beads 7", {"speed", "efficiency"}),
     "nematode-pair": ("--beads 7 --distance 0.8 --antiphase", {"speed_ratio"}),
-    "spiral": ("--beads 7 --frequency 10", {"speed", "rotation"}),
-    "three-sphere": ("--separation 20 --stroke 0.2", {"displacement", "theory_ratio"}),
+    "spiral": ("--beads 7 --frequency 10.0", {"speed", "rotation"}),
+    "three-sphere": ("--separation 20.0 --stroke 0.2", {"displacement", "theory_ratio"}),
 }
 
 

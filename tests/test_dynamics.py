@@ -12,7 +12,13 @@ from dense import dense_motion, flat
 
 from jaxbeads import Chain, Load, Scene, State, dynamics, from_tangents, straight
 from jaxbeads.actuation import TravellingWave, TwoPlanes
-from jaxbeads.constraint import AbstractChainConstraint, AbstractConstraint, FrozenJoints, Gears
+from jaxbeads.constraint import (
+    AbstractChainConstraint,
+    AbstractConstraint,
+    FrozenJoints,
+    Gears,
+    clamped,
+)
 from jaxbeads.flow import Shear
 from jaxbeads.force import (
     Bending,
@@ -245,6 +251,17 @@ def test_single_beads_and_pairs_run():
         assert np.all(np.isfinite(dynamics.motion(0.0, state, model).velocity))
 
 
+def test_the_residual_of_a_fibre_held_at_rest():
+    # Its velocities are rounding, and so is the residual: neither is large beside what is held.
+    chain = Chain(1.0, 6)
+    scene = Scene(
+        chain, 1.0, constraints=[Gears(), *clamped()], forces=[Bending(1e3), Weight([1.0, 0.0])]
+    )
+    state = straight(chain, [1.0, 0.0])
+    assert np.abs(dynamics.motion(0.0, state, scene).velocity).max() < 1e-13
+    assert float(dynamics.constraint_residual(0.0, state, scene)) < 1e-13
+
+
 def singular(shape, dim):
     """Chains at the places where careless derivatives are NaN."""
     if shape == "crossed":  # two fibres; their middle beads coincide
@@ -316,7 +333,9 @@ def test_a_scene_pays_only_for_what_it_models():
         parts = dynamics._constraints(0.0, state, held)
         matrix = Gears().assemble(t, state, operator, held.chain)
         factor = jax.lax.linalg.cholesky(matrix, symmetrize_input=False)
-        lam = jax.scipy.linalg.cho_solve((factor, True), -parts.slip(free))
+        pivot = jnp.diagonal(factor) ** 2 / jnp.diagonal(matrix)  # nor without this guard
+        rhs = jnp.where(jnp.min(pivot, initial=1.0) > 3e-14, -parts.slip(free), jnp.nan)
+        lam = jax.scipy.linalg.cho_solve((factor, True), rhs)
         push = operator.motion(parts.pull(lam))
         return free.velocity + push.velocity, free.spin + push.spin
 
@@ -332,8 +351,7 @@ def test_a_scene_pays_only_for_what_it_models():
         b.intrinsic_curvature,
     )
     ours = size(dynamics.motion, 0.0, state, bare)
-    # The linear solve's own wrapper and the look at its pivots; a flow adds hundreds.
-    assert ours <= hand + 60
+    assert ours <= hand + 40  # the linear solve's own wrapper; a flow adds hundreds
     assert size(dynamics.motion, 0.0, state, scene(chain)) > ours + 100
     assert size(dynamics.motion, 0.0, solid, scene(chain, 3, flow=False)) > 1.5 * ours
 

@@ -148,8 +148,11 @@ def test_a_step_too_large_is_named():
     stiff = Scene(chain, 1.0, constraints=[Gears()], forces=[Weight([0.0, -1.0]), Bending(100.0)])
     state = straight(chain, [1.0, 0.0])
     with (
-        pytest.warns(UserWarning, match="times that of eq"),
-        pytest.raises(SimulationError, match=r"Bending.*10 times that of eq\. \(39\).*substeps"),
+        pytest.warns(UserWarning, match=r"times `solver.explicit_step` \(eq. \(39\)"),
+        pytest.raises(
+            SimulationError,
+            match=r"Bending.*10 times `solver.explicit_step`, eq\. \(39\).*substeps",
+        ),
     ):
         simulate(stiff, state, np.arange(0.0, 200.0, 1.6), substeps=1, progress=False)
 

@@ -35,10 +35,14 @@ class Case(NamedTuple):
     """Ends the run early, as at a steady state."""
     chunk: int | None = None
     """Save times between two checks."""
+    projected: bool = False
+    """Whether bond lengths are restored after every step."""
 
     def simulate(self, **options: Any) -> Solution:
         """Run it with `jaxbeads.simulate`; options as there (they replace the case's own)."""
-        own: dict[str, Any] = {"until": self.until, "chunk": self.chunk}
+        own: dict[str, Any] = {
+            name: getattr(self, name) for name in ("until", "chunk", "projected")
+        }
         if options.get("controller") is None:
             own["substeps"] = self.substeps
         solution = simulate(self.scene, self.state, self.ts, **{**own, **options})

@@ -56,7 +56,9 @@ def nematode(beads: int = 15, *, radius: float = 1.0, viscosity: float = 1.0) ->
         return len(solution.ts) > 2 * SAMPLES and shape_changes(solution) < tolerance
 
     ts = np.linspace(0, 30 / _FREQUENCY, 30 * SAMPLES + 1)
-    return Case(scene, straight(chain, [1.0, 0.0]), ts, until=periodic, chunk=SAMPLES)
+    return Case(
+        scene, straight(chain, [1.0, 0.0]), ts, until=periodic, chunk=SAMPLES, projected=True
+    )
 
 
 def mean_power(scene: Scene, solution: Solution) -> float:
@@ -116,7 +118,7 @@ def nematode_pair(
     scene = Scene(chain, viscosity, constraints=[Gears()], forces=[bending, contact])
     centres = [[0.0, -0.5 * distance * length], [0.0, 0.5 * distance * length]]
     ts = np.linspace(0, 3 / _FREQUENCY, 3 * SAMPLES + 1)
-    return Case(scene, straight(chain, [1.0, 0.0], centres), ts)
+    return Case(scene, straight(chain, [1.0, 0.0], centres), ts, projected=True)
 
 
 def _advance(solution: Solution) -> float:

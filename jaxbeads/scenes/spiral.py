@@ -38,7 +38,7 @@ def spiral(
     Each plane has the nematode's wave, with the peak curvature `curvature` / L (see
     `actuation.TwoPlanes`). The shape turns about the axis once a period; the beads counter-rotate,
     because no torque acts on the whole: `rotation` is their mean spin about the swimming axis over
-    2 pi f.
+    2 pi f. It grows about as the square of the slenderness, N^2, because thin beads resist little.
 
     **Arguments**: number of beads (at least 4); frequency as 2 pi f mu L^4/K_b; peak curvature
     times L; a [length]; mu. The time unit is a period.
@@ -59,7 +59,9 @@ def spiral(
         return len(solution.ts) > 2 * SAMPLES and shape_changes(solution) < tolerance
 
     ts = np.linspace(0.0, 30.0, 30 * SAMPLES + 1)
-    return Case(scene, straight(chain, [1.0, 0.0, 0.0]), ts, until=periodic, chunk=SAMPLES)
+    return Case(
+        scene, straight(chain, [1.0, 0.0, 0.0]), ts, until=periodic, chunk=SAMPLES, projected=True
+    )
 
 
 def _observables(case: Case, solution: Solution) -> dict[str, Value]:
