@@ -133,11 +133,16 @@ def evaluate(t: Time, state: State, scene: Scene) -> Evaluation:
 
 @eqx.filter_jit
 def _evaluate(t: Time, state: State, scene: Scene) -> Evaluation:
+    return _free_and_held(t, state, scene)[1]
+
+
+def _free_and_held(t: Time, state: State, scene: Scene) -> tuple[Motion, Evaluation]:
+    """The motion without constraints, and with them."""
     position, chain = state.position, scene.chain
     operator = scene.mobility.operator(position, chain.radius, scene.viscosity, scene.rotational)
     free = _free_motion(t, state, scene, operator)
     if not scene.constraints:
-        return Evaluation(free, jnp.zeros((0,), position.dtype))
+        return free, Evaluation(free, jnp.zeros((0,), position.dtype))
     j = _constraints(t, state, scene)
     matrix = _matrix(*lax.stop_gradient((t, state, scene, operator)))
     factor = lax.linalg.cholesky(matrix, symmetrize_input=False)
@@ -151,7 +156,8 @@ def _evaluate(t: Time, state: State, scene: Scene) -> Evaluation:
     multipliers = lax.custom_linear_solve(
         lambda x: j.compliance(operator, x), -j.slip(free), solve, symmetric=True
     )
-    return Evaluation(add_motions(free, operator.motion(j.pull(multipliers))), multipliers)
+    held = add_motions(free, operator.motion(j.pull(multipliers)))
+    return free, Evaluation(held, multipliers)
 
 
 def motion(t: Time, state: State, scene: Scene) -> Motion:
@@ -228,12 +234,13 @@ def constraint_residual(t: Time, state: State, scene: Scene) -> Float[Array, ""]
     """
     if not scene.constraints:
         return jnp.zeros((), state.position.dtype)
-    moved = motion(t, state, scene)
+    return _residual(jnp.asarray(t), state, scene)
+
+
+@eqx.filter_jit
+def _residual(t: Time, state: State, scene: Scene) -> Array:
+    free, (moved, _) = _free_and_held(t, state, scene)
     slip = _slips(t, state, scene)(moved)
-    operator = scene.mobility.operator(
-        state.position, scene.chain.radius, scene.viscosity, scene.rotational
-    )
-    free = _free_motion(t, state, scene, operator)
     scale = jnp.maximum(jnp.max(jnp.abs(moved.velocity)), jnp.max(jnp.abs(free.velocity)))
     return jnp.linalg.norm(slip) / (max(slip.shape[0], 1) * jnp.where(scale == 0, 1.0, scale))
 

@@ -275,18 +275,26 @@ def singular(shape, dim):
     return chain, State(from_tangents(chain, np.pad(e, ((0, 0), (0, dim - 2)))))
 
 
-@pytest.mark.parametrize("dim", [2, 3])
+def weighted_velocity(state, model, weight):
+    return jnp.sum(weight * dynamics.motion(0.1, state, model).velocity)
+
+
+# One compiled program for all shapes.
+VALUE = jax.jit(weighted_velocity)
+REVERSE = jax.jit(jax.grad(weighted_velocity, argnums=(0, 1)))
+FORWARD = jax.jit(
+    lambda at, along, weight: jax.jvp(lambda s, m: weighted_velocity(s, m, weight), at, along)[1]
+)
+
+
 @pytest.mark.parametrize("shape", ["bent", "straight", "folded", "crossed"])
+@pytest.mark.parametrize("dim", [2, 3])
 def test_derivatives_of_the_motion(shape, dim):
     # With respect to every parameter and position, in both modes.
     chain, state = singular(shape, dim)
     model = scene(chain, dim)
     weight = jnp.asarray(np.random.default_rng(0).normal(size=(6, dim)))
-
-    def value(state, model):
-        return jnp.sum(weight * dynamics.motion(0.1, state, model).velocity)
-
-    reverse = jax.jit(jax.grad(value, argnums=(0, 1)))(state, model)
+    reverse = REVERSE(state, model, weight)
     flat_reverse = np.concatenate([np.ravel(x) for x in jax.tree.leaves(reverse)])
     assert np.all(np.isfinite(flat_reverse))
     leaves, tree = jax.tree.flatten((state, model))
@@ -296,7 +304,7 @@ def test_derivatives_of_the_motion(shape, dim):
         at = next(i for i, x in enumerate(leaves) if x is model.forces[1].intrinsic_curvature)
         direction[at] = jnp.zeros(())
     along = jax.tree.unflatten(tree, direction)
-    forward = jax.jit(lambda x, d: jax.jvp(value, x, d)[1])((state, model), along)
+    forward = FORWARD((state, model), along, weight)
     dot = sum(
         float(jnp.sum(a * b)) for a, b in zip(direction, jax.tree.leaves(reverse), strict=True)
     )
@@ -304,11 +312,11 @@ def test_derivatives_of_the_motion(shape, dim):
     if shape != "crossed":  # there the mobility has a kink
         # Touching beads sit where second derivatives jump: the error is of first order in h, which
         # two steps cancel.
-        h, value = 2e-7, jax.jit(value)
+        h = 2e-7
 
         def at(step):
             moved = [x + step * d for x, d in zip(leaves, direction, strict=True)]
-            return float(value(*jax.tree.unflatten(tree, moved)))
+            return float(VALUE(*jax.tree.unflatten(tree, moved), weight))
 
         coarse, fine = (at(2 * h) - at(-2 * h)) / (4 * h), (at(h) - at(-h)) / (2 * h)
         assert abs(2 * fine - coarse - dot) < 1e-6 * abs(dot)

@@ -384,6 +384,7 @@ def test_gradients_through_prescribed_motion():
 
     arguments = (jnp.asarray(0.4), jnp.asarray(20.0))
     value, gradient = jax.jit(jax.value_and_grad(tip, argnums=(0, 1)))(*arguments)
+    tip = jax.jit(tip)
     assert abs(value) > 0.1
     for k, h in ((0, 1e-5), (1, 1e-3)):
         moved = [[x + s * h * (i == k) for i, x in enumerate(arguments)] for s in (1, -1)]

@@ -16,7 +16,7 @@ from ..observables import rigid_resistance
 from ..rollout import Solution
 from ..scene import Scene
 from ..state import State
-from .case import SAMPLES, Case, ReadyMade, Value, last_period, over_time, shape_changes
+from .case import SAMPLES, Case, ReadyMade, Value, last_period, over_time, until_periodic
 
 _FREQUENCY = 1.0  # zeta; the unit of time
 _MOST_PERIODS = 200
@@ -31,11 +31,7 @@ def _case(scene: Scene, state: State, amplitude: float) -> Case:
     period = 2 * np.pi / _FREQUENCY
     ts = np.linspace(0, _MOST_PERIODS * period, _MOST_PERIODS * SAMPLES + 1)
     tolerance = 2e-5 * amplitude * float(scene.chain.length[0])
-
-    def periodic(solution: Solution) -> bool:
-        return len(solution.ts) > 2 * SAMPLES and shape_changes(solution) < tolerance
-
-    return Case(scene, state, ts, until=periodic, chunk=SAMPLES)
+    return Case(scene, state, ts, until=until_periodic(tolerance), chunk=SAMPLES)
 
 
 def planar_beating(

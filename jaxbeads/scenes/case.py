@@ -102,6 +102,21 @@ def shape_changes(solution: Solution) -> float:
     return float(np.abs(now @ (u @ v) - before).max())
 
 
+def until_periodic(tolerance: float) -> Callable[[Solution], bool]:
+    """Ends a driven run once its shape repeats from period to period to a tolerance [length]."""
+
+    def periodic(solution: Solution) -> bool:
+        return len(solution.ts) > 2 * SAMPLES and shape_changes(solution) < tolerance
+
+    return periodic
+
+
+def distance_swum(case: "Case", solution: Solution) -> np.ndarray:
+    """Distance of the centre from its start over the first fibre's length."""
+    centre = np.asarray(solution.states.position).mean(axis=1)
+    return np.linalg.norm(centre - centre[0], axis=1) / float(case.scene.chain.length[0])
+
+
 def swimming_speed(solution: Solution) -> float:
     """Net displacement of the centre in the last period, per period [length]."""
     _, states = last_period(solution)

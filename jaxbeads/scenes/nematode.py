@@ -17,10 +17,11 @@ from .case import (
     Case,
     ReadyMade,
     Value,
+    distance_swum,
     last_period,
     over_time,
-    shape_changes,
     swimming_speed,
+    until_periodic,
     worm_amplitude,
 )
 
@@ -51,13 +52,14 @@ def nematode(beads: int = 15, *, radius: float = 1.0, viscosity: float = 1.0) ->
     chain = Chain(radius, beads)
     scene = Scene(chain, viscosity, constraints=[Gears()], forces=[_worms(chain, viscosity, 0.0)])
     tolerance = 1e-6 * float(chain.length[0])
-
-    def periodic(solution: Solution) -> bool:
-        return len(solution.ts) > 2 * SAMPLES and shape_changes(solution) < tolerance
-
     ts = np.linspace(0, 30 / _FREQUENCY, 30 * SAMPLES + 1)
     return Case(
-        scene, straight(chain, [1.0, 0.0]), ts, until=periodic, chunk=SAMPLES, projected=True
+        scene,
+        straight(chain, [1.0, 0.0]),
+        ts,
+        until=until_periodic(tolerance),
+        chunk=SAMPLES,
+        projected=True,
     )
 
 
@@ -76,18 +78,13 @@ def _observables(case: Case, solution: Solution) -> dict[str, Value]:
     }
 
 
-def _path(case: Case, solution: Solution) -> np.ndarray:
-    centre = np.asarray(solution.states.position).mean(axis=1)
-    return np.linalg.norm(centre - centre[0], axis=1) / float(case.scene.chain.length[0])
-
-
 NEMATODE = ReadyMade(
     "nematode",
     "undulating worm: swimming speed and efficiency",
     nematode,
     {"beads": "number of beads"},
     _observables,
-    ("distance swum over $L$", _path),
+    ("distance swum over $L$", distance_swum),
     co_moving=False,
 )
 
@@ -147,6 +144,6 @@ NEMATODE_PAIR = ReadyMade(
         "antiphase": "waves half a period apart",
     },
     _pair,
-    ("distance swum over $L$", _path),
+    ("distance swum over $L$", distance_swum),
     co_moving=False,
 )

@@ -15,10 +15,11 @@ from .case import (
     Case,
     ReadyMade,
     Value,
+    distance_swum,
     last_period,
     over_time,
-    shape_changes,
     swimming_speed,
+    until_periodic,
     worm_amplitude,
 )
 
@@ -54,13 +55,14 @@ def spiral(
     bending = Bending(rigidity, TwoPlanes(*waves))
     scene = Scene(chain, viscosity, constraints=[Gears()], forces=[bending])
     tolerance = 1e-5 * float(length)
-
-    def periodic(solution: Solution) -> bool:
-        return len(solution.ts) > 2 * SAMPLES and shape_changes(solution) < tolerance
-
     ts = np.linspace(0.0, 30.0, 30 * SAMPLES + 1)
     return Case(
-        scene, straight(chain, [1.0, 0.0, 0.0]), ts, until=periodic, chunk=SAMPLES, projected=True
+        scene,
+        straight(chain, [1.0, 0.0, 0.0]),
+        ts,
+        until=until_periodic(tolerance),
+        chunk=SAMPLES,
+        projected=True,
     )
 
 
@@ -77,17 +79,12 @@ def _observables(case: Case, solution: Solution) -> dict[str, Value]:
     }
 
 
-def _path(case: Case, solution: Solution) -> np.ndarray:
-    centre = np.asarray(solution.states.position).mean(axis=1)
-    return np.linalg.norm(centre - centre[0], axis=1) / float(case.scene.chain.length[0])
-
-
 SPIRAL = ReadyMade(
     "spiral",
     "swimmer with a helical wave: speed and rotation",
     spiral,
     {"beads": "number of beads", "frequency": "frequency as 2 pi f mu L^4/K_b"},
     _observables,
-    ("distance swum over $L$", _path),
+    ("distance swum over $L$", distance_swum),
     co_moving=False,
 )
