@@ -13,6 +13,7 @@ import jax
 import numpy as np
 
 from .breakdown import SimulationError
+from .observables import curvature
 from .rollout import Solution
 from .scenes import MODELS, SCENES, AbstractModel, Case, ReadyMade, Value
 from .solver import AB3
@@ -94,7 +95,8 @@ def _write(ready: ReadyMade, case: Case, solution: Solution, folder: Path) -> li
         "shapes": plot.shapes(solution, chain, view=view),
         "observable": plot.observable(solution.ts, measure(case, solution), label),
     }
-    if chain.fibres[0] > 2:
+    bent = curvature(solution.states.position, chain) if chain.fibres[0] > 2 else np.zeros(1)
+    if np.max(np.abs(bent)) * float(chain.length[0]) > 1e-6:
         pictures["curvature"] = plot.kymograph(solution, chain)
     for name, figure in pictures.items():
         written.append(folder / f"{ready.name}_{name}.png")
@@ -133,6 +135,7 @@ def _run(ready: ReadyMade, arguments: argparse.Namespace) -> None:
     for name, value in results.items():
         print(f"  {name:<24}{_text(value)}")
     if folder is not None:
+        print("  drawing pictures and a movie ...")
         for path in _write(ready, case, solution, folder):
             print(f"  wrote {path}")
     if arguments.json:

@@ -14,7 +14,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from .constraint import AbstractChainConstraint
+from .constraint import AbstractChainConstraint, AbstractConstraint
 from .flow.base import spin_and_strain, velocity_and_gradient
 from .geometry import spin_cross
 from .mobility import MobilityOperator
@@ -189,6 +189,13 @@ def _full_matrix(t: Time, state: State, scene: Scene) -> Array:
     return lower + jnp.tril(lower, -1).T
 
 
+def _named(constraint: AbstractConstraint) -> str:
+    """Its name, with the bead or bond that it is about."""
+    about = (f"{x}={getattr(constraint, x)}" for x in ("bead", "bond") if hasattr(constraint, x))
+    where = ", ".join(about)
+    return type(constraint).__name__ + (f"({where})" if where else "")
+
+
 def redundancy(t: Time, state: State, scene: Scene) -> str | None:
     """Whether the constraints depend on one another at this instant, and which of them.
 
@@ -214,7 +221,7 @@ def redundancy(t: Time, state: State, scene: Scene) -> str | None:
     sizes = [np.size(c.slip(time, state, still, scene.chain)) for c in scene.constraints]
     parts = np.split(np.abs(null).max(axis=1), np.cumsum(sizes)[:-1])
     names = [
-        type(c).__name__
+        _named(c)
         for c, part in zip(scene.constraints, parts, strict=True)
         if part.max(initial=0.0) > 1e-6 * np.abs(null).max()
     ]

@@ -21,6 +21,7 @@ from .state import State
 
 Stepper = FixedSteps | AdaptiveSteps
 _AB3 = AB3()
+_BOND_TOLERANCE = 0.01
 
 
 class Solution(eqx.Module):
@@ -29,7 +30,8 @@ class Solution(eqx.Module):
     - `ts`: times, `(times,)`; `states`: `State` with a leading axis of times.
     - `steps`: attempted steps; `code`: 0 when all went well (see `solver.stepping.Carry`).
     - `residual`: constraint residual at each time, see `dynamics.constraint_residual`;
-      `bond_length_error`: largest relative error of a bond at each time. `None` from `rollout`.
+      `bond_length_error`: largest relative error of a bond at each time. The first is `None` from
+      `rollout`.
     - `wall_s`, `compile_s`: seconds in all, and of them for compiling (`simulate` only).
     - `status`: "finished", "stopped by `until`" or "interrupted" (`simulate` only).
     """
@@ -100,7 +102,8 @@ def stepper_for(
     if substeps is None:
         if not known((ts, scene)):
             must = "be given when the scene or the times are traced"
-            fail("substeps", must, "it is None: solver.stepping.substeps_for finds it beforehand")
+            how = "it is None: jaxbeads.solver.substeps_for(scene, ts) finds it beforehand"
+            fail("substeps", must, how)
         substeps = substeps_for(scene, ts, None)
     whole("substeps", substeps, 1)
     return FixedSteps(solver, substeps, projected)
@@ -157,8 +160,10 @@ def rollout(
     """Trajectory from `state` at `ts[0]`, saved at the times `ts`.
 
     Pure: use it under `jax.jit`, `jax.vmap` and `jax.grad` with respect to anything numeric in
-    `scene`, `state` and `ts`. Nothing is checked while it runs: non-finite numbers come out as such.
-    For files, progress and a check on the way, use `simulate`.
+    `scene`, `state` and `ts`. It cannot raise while it runs: look at `code`, which is 0 only if all
+    numbers are finite and bonds kept their lengths to 1 %. Steps that are too long show there first.
+    Constraints that depend on one another give NaN. For files, progress, warnings and a check on the
+    way, use `simulate`.
 
     **Arguments**
 
@@ -179,7 +184,24 @@ def rollout(
     stepper = stepper_for(scene, ts, solver, substeps, controller, projected, max_steps)
     carry, states = advance(stepper, scene, stepper.init(scene, state, ts[0], ts[1]), ts)
     states = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), state, states)
-    return Solution(ts, states, carry.steps, carry.code)
+    errors = bond_errors(scene, lax.stop_gradient(states))
+    good = jnp.all(jnp.isfinite(states.position)) & (jnp.max(errors) <= _BOND_TOLERANCE)
+    code = jnp.where((carry.code == 0) & ~good, 3, carry.code)
+    return Solution(ts, states, carry.steps, code, bond_length_error=errors)
+
+
+def bond_errors(scene: Scene, states: State) -> Float[Array, " times"]:
+    """Largest relative bond-length error of the scene's chains at each time."""
+
+    def one(state: State) -> Array:
+        error = jnp.zeros((), state.position.dtype)
+        for constraint in scene.constraints:
+            if isinstance(constraint, AbstractChainConstraint):
+                drift = constraint.drift(state, scene.chain)
+                error = jnp.maximum(error, jnp.max(jnp.abs(drift), initial=0.0))
+        return error
+
+    return jax.vmap(one)(states)
 
 
 def diagnostics(
@@ -187,13 +209,5 @@ def diagnostics(
 ) -> tuple[Float[Array, " times"], Float[Array, " times"]]:
     """Constraint residual and largest relative bond-length error at each time."""
 
-    def one(at: tuple[Array, State]) -> tuple[Array, Array]:
-        t, state = at
-        error = jnp.zeros((), state.position.dtype)
-        for constraint in scene.constraints:
-            if isinstance(constraint, AbstractChainConstraint):
-                drift = constraint.drift(state, scene.chain)
-                error = jnp.maximum(error, jnp.max(jnp.abs(drift), initial=0.0))
-        return constraint_residual(t, state, scene), error
-
-    return lax.map(one, (ts, states))
+    residual = lax.map(lambda at: constraint_residual(at[0], at[1], scene), (ts, states))
+    return residual, bond_errors(scene, states)

@@ -13,9 +13,9 @@ from jaxtyping import Array, Float
 from ._checks import described, fail, finite, kind, positive, shape
 from ._typing import float_array
 from .chain import Chain
-from .constraint import AbstractConstraint
+from .constraint import AbstractConstraint, Joint
 from .flow import AbstractFlow
-from .force import AbstractForce
+from .force import AbstractForce, Bending, JointBending
 from .mobility import RPY, AbstractMobility
 from .state import State
 
@@ -73,7 +73,8 @@ def _check_kinds(name: str, terms: Any, wanted: type) -> None:
         fail(name, f"be a list of {wanted.__name__} objects", f"it is {described(terms)}")
     for term in terms:
         if not isinstance(term, wanted):
-            fail(name, f"hold {wanted.__name__} objects", f"it holds {described(term)}")
+            hint = " (unpack it with *, as *clamped())" if isinstance(term, tuple) else ""
+            fail(name, f"hold {wanted.__name__} objects", f"it holds {described(term)}{hint}")
 
 
 def check(
@@ -112,6 +113,12 @@ def check(
             fail("scene", "be in float32 as the state is", "it holds numbers in float64")
     for term in (*scene.constraints, *scene.forces):
         term.check(chain, dim)
+    jointed = any(isinstance(c, Joint) for c in scene.constraints)
+    for force in scene.forces:
+        if isinstance(force, Bending) and jointed:
+            fail("scene.forces", "bend a chain of Joint with JointBending", "it holds Bending")
+        if isinstance(force, JointBending) and not jointed:
+            fail("scene.constraints", "hold Joint beside JointBending", "it does not")
     if scene.flow is not None:
         scene.flow.check(dim)
     tracers = any(isinstance(x, Tracer) for x in (position, chain.radius))

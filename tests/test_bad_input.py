@@ -44,6 +44,7 @@ from jaxbeads.constraint import (
     PrescribedLengths,
     PrescribedPosition,
     PrescribedSpin,
+    clamped,
 )
 from jaxbeads.flow import Extension, LinearFlow, OscillatingShear, Poiseuille, Shear
 from jaxbeads.force import (
@@ -338,17 +339,32 @@ DRIVES = {
         "`directors` must have shape (5, 2) or (5, 3), but it has shape (4, 2)",
     ),
     "joints without directors": (
-        lambda: run(scene=model(constraints=[Joint()])),
+        lambda: run(scene=model(constraints=[Joint()], forces=[]), substeps=1),
         "`state` must hold directors for Joint, but it holds none",
     ),
     "joint bending without directors": (
         lambda: run_force(JointBending(1.0)),
         "`state` must hold directors for JointBending, but it holds none",
     ),
+    "bending of beads that joints hold": (
+        lambda: run(from_directors(CHAIN, np.ones((5, 2))), scene=model(constraints=[Joint()])),
+        "`scene.forces` must bend a chain of Joint with JointBending, but it holds Bending",
+    ),
+    "joint bending without joints": (
+        lambda: run(
+            from_directors(CHAIN, np.ones((5, 2))), scene=model(forces=[JointBending(1.0)])
+        ),
+        "`scene.constraints` must hold Joint beside JointBending, but it does not",
+    ),
+    "ends that were not unpacked": (
+        lambda: model(constraints=[Gears(), clamped()]),
+        "it holds a tuple (unpack it with *, as *clamped())",
+    ),
     "joints apart": (
         lambda: run(
             State(START.position, jnp.tile(jnp.array([[0.6, 0.8]]), (5, 1))),
-            scene=model(constraints=[Joint()]),
+            scene=model(constraints=[Joint()], forces=[]),
+            substeps=1,
         ),
         "`state` must hold neighbours at touching distance, but beads 0 and 1 are off it by",
     ),

@@ -408,11 +408,14 @@ class Overdetermined(AbstractConstraint):
     [
         ([Gears(), Overdetermined(jnp.zeros(()))], "Gears + Overdetermined are redundant"),
         ([Gears(), Overdetermined(jnp.ones(()))], "Gears + Overdetermined contradict one another"),
-        ([Gears(), *hinged(), *hinged()], "PrescribedPosition + PrescribedPosition are redundant"),
+        (
+            [Gears(), *hinged(), *hinged()],
+            "PrescribedPosition(bead=0) + PrescribedPosition(bead=0) are redundant",
+        ),
         ([Gears(), Inextensible()], "Gears + Inextensible are redundant"),
         (
             [Gears(), PrescribedPosition(), PrescribedPosition(lambda t: jnp.stack([t, t]))],
-            "PrescribedPosition + PrescribedPosition contradict one another",
+            "PrescribedPosition(bead=0) + PrescribedPosition(bead=0) contradict one another",
         ),
     ],
     ids=["redundant", "contradictory", "twice", "chains", "two laws"],

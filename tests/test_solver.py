@@ -12,10 +12,11 @@ from cases import SOLVERS, bent, name, scene
 
 import jaxbeads
 from jaxbeads import AB3, Chain, Scene, dynamics, rollout, simulate, straight
+from jaxbeads.actuation import TravellingWave
 from jaxbeads.constraint import Gears
 from jaxbeads.flow import OscillatingShear
 from jaxbeads.force import Bending, BendingEnergy, Weight
-from jaxbeads.solver import explicit_step
+from jaxbeads.solver import explicit_step, substeps_for
 
 CHAIN = Chain(1.0, 5)
 TIMES = np.linspace(0.0, 4.0, 3)
@@ -126,6 +127,21 @@ def test_adaptive_steps(solver):
         assert int(run.code) == 0
         assert errors[-1] < 100 * tolerance
     assert steps[1] > 1.5 * steps[0]
+
+
+def test_rollout_says_when_its_steps_are_too_long():
+    # Finite, plausible numbers of an active fibre whose bonds are far off: under jit only `code` tells.
+    chain = Chain(1.0, 8)
+    bending = Bending(400.0, TravellingWave(0.1, 2 * np.pi / 16, 0.01))
+    model = Scene(chain, 1.0, constraints=[Gears()], forces=[bending])
+    state, ts = straight(chain, [1.0, 0.0]), np.linspace(0, 20, 5)
+    run = jax.jit(lambda n: rollout(model, state, ts, substeps=n), static_argnums=0)
+    short, long = run(substeps_for(model, ts)), run(20)
+    assert int(short.code) == 0 and np.max(short.bond_length_error) < 1e-3
+    assert int(long.code) == 3 and np.max(long.bond_length_error) > 0.01
+    assert np.all(np.isfinite(long.states.position))
+    twice = Scene(chain, 1.0, constraints=[Gears(), Gears()], forces=[bending])
+    assert int(rollout(twice, state, ts, substeps=1).code) == 3  # NaN, and said so
 
 
 def test_vmap_equals_loop():

@@ -9,3 +9,4 @@ from .ab3 import AB3 as AB3
 from .stepping import AdaptiveSteps as AdaptiveSteps
 from .stepping import FixedSteps as FixedSteps
 from .stepping import explicit_step as explicit_step
+from .stepping import substeps_for as substeps_for

@@ -54,7 +54,8 @@ class Carry(eqx.Module):
     steps: Int[Array, ""]
     """Attempted steps so far."""
     code: Int[Array, ""]
-    """0: fine; 1: more than `max_steps` in one interval; 2: the solver gave up."""
+    """0: fine; 1: more than `max_steps` in one interval; 2: the solver gave up. (In a `Solution`, 3:
+    positions are not finite, or bonds are off their lengths by more than 1 %.)"""
     memory: Any
     """Of the solver and its controller."""
 
@@ -199,8 +200,8 @@ class AdaptiveSteps(eqx.Module):
         return Carry(y, carry.steps + count, code, a)
 
 
-def substeps_for(scene: Scene, ts: Float[Array, " times"], step: float | None) -> int:
-    """Number of equal steps between save times, from a largest step (by default (39)).
+def substeps_for(scene: Scene, ts: Any, step: float | None = None) -> int:
+    """Number of equal steps between save times, from a largest step (by default `explicit_step`).
 
     **Raises** `ValueError` if there is neither a step nor a stiff force.
     """
