@@ -218,7 +218,7 @@ def test_beating_filament_against_linear_theory():
 def test_small_beats_of_free_draining_chains_follow_linear_theory():
     # Without interactions drag is local: the difference falls like 1/N as the chain becomes a line.
     tips = []
-    for beads in (6, 12):
+    for beads in (8, 16):
         case = scenes.planar_beating(beads, 3.0, amplitude=0.01)
         chain, mobility = case.scene.chain, FreeDraining()
         friction = observables.rigid_resistance(
@@ -231,7 +231,7 @@ def test_small_beats_of_free_draining_chains_follow_linear_theory():
         tips.append(tip / (0.01 * float(chain.length[0])))
     theory = linear_beat(3.0, np.array([1.0]))[0]
     assert abs(tips[0] - theory) / abs(tips[1] - theory) > 1.9
-    assert abs(2 * tips[1] - tips[0] - theory) < 0.035  # extrapolated; |theory| = 0.177
+    assert abs(2 * tips[1] - tips[0] - theory) < 0.025  # extrapolated; |theory| = 0.177
 
 
 def test_helical_beating_of_a_stiff_filament_is_rigid():
