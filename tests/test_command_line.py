@@ -109,8 +109,7 @@ def test_solvers_agree(shell):
 def test_out_writes_pictures_movie_and_trajectory(shell, tmp_path):
     folder = tmp_path / "new" / "folder"
     lines, results = shell(f"jeffery --beads 4 --out {folder}")
-    names = ["jeffery.gif", "jeffery.h5", "jeffery_curvature.png"]
-    names += ["jeffery_observable.png", "jeffery_shapes.png"]
+    names = ["jeffery.gif", "jeffery.h5", "jeffery_observable.png", "jeffery_shapes.png"]
     assert sorted(path.name for path in folder.iterdir()) == names
     assert all(any(f"wrote {folder / name}" in line for line in lines) for name in names)
     solution = jaxbeads.load(folder / "jeffery.h5")
@@ -122,6 +121,12 @@ def test_out_writes_pictures_movie_and_trajectory(shell, tmp_path):
                 picture.load()
                 assert min(picture.size) > 100
                 assert name.endswith("png") or picture.n_frames == 90
+
+
+def test_out_draws_curvature_where_there_is_some(shell, tmp_path):
+    shell(f"relaxation --beads 5 --mode 2 --out {tmp_path}")
+    with Image.open(tmp_path / "relaxation_curvature.png") as picture:
+        picture.load()
 
 
 def test_unknown_solver_is_one_sentence(capsys):
