@@ -99,6 +99,7 @@ def shape_changes(solution: Solution) -> float:
     shape = position - position.mean(axis=1, keepdims=True)
     now, before = shape[-SAMPLES:], shape[-2 * SAMPLES : -SAMPLES]
     u, _, v = np.linalg.svd(np.swapaxes(now, 1, 2) @ before)  # Kabsch: the best rotation
+    u[:, :, -1] *= np.linalg.det(u @ v)[:, None]  # and no reflection
     return float(np.abs(now @ (u @ v) - before).max())
 
 
