@@ -54,7 +54,7 @@ def ambient_motion(t: Time, state: State, scene: Scene) -> Motion | None:
     return carried if disturbance is None else add_motions(carried, disturbance)
 
 
-def _free_motion(t: Time, state: State, scene: Scene, operator: MobilityOperator) -> Motion:
+def free_motion(t: Time, state: State, scene: Scene, operator: MobilityOperator) -> Motion:
     load, ambient = applied_load(t, state, scene), ambient_motion(t, state, scene)
     if load.force is None and load.torque is None:
         return zero_motion(state, scene.rotational) if ambient is None else ambient
@@ -62,7 +62,7 @@ def _free_motion(t: Time, state: State, scene: Scene, operator: MobilityOperator
     return free if ambient is None else add_motions(free, ambient)
 
 
-def _slips(t: Time, state: State, scene: Scene) -> Callable[[Motion], Array]:
+def slips(t: Time, state: State, scene: Scene) -> Callable[[Motion], Array]:
     """All constraints' residuals as one vector; affine in the motion."""
 
     def slip(motion: Motion) -> Array:
@@ -72,7 +72,7 @@ def _slips(t: Time, state: State, scene: Scene) -> Callable[[Motion], Array]:
     return slip
 
 
-class _Constraints(NamedTuple):
+class ConstraintMap(NamedTuple):
     """J as a pair of linear functions."""
 
     slip: Callable[[Motion], Array]  # J Qdot + B
@@ -84,15 +84,15 @@ class _Constraints(NamedTuple):
         return self.slip(operator.motion(self.pull(multipliers))) - self.offset
 
 
-def _constraints(t: Time, state: State, scene: Scene) -> _Constraints:
-    slip = _slips(t, state, scene)
+def constraint_map(t: Time, state: State, scene: Scene) -> ConstraintMap:
+    slip = slips(t, state, scene)
     offset, transpose = jax.vjp(slip, zero_motion(state, scene.rotational))
 
     def pull(multipliers: Array) -> Load:
         (pulled,) = transpose(multipliers)
         return Load(pulled.velocity, pulled.spin)
 
-    return _Constraints(slip, offset, pull)
+    return ConstraintMap(slip, offset, pull)
 
 
 def _matrix(t: Time, state: State, scene: Scene, operator: MobilityOperator) -> Array:
@@ -101,7 +101,7 @@ def _matrix(t: Time, state: State, scene: Scene, operator: MobilityOperator) -> 
     The first constraint assembles its own block where it can. All other rows are found by applying
     M to one unit multiplier after the other, vectorised.
     """
-    j = _constraints(t, state, scene)
+    j = constraint_map(t, state, scene)
     rows, first, time = j.offset.shape[0], scene.constraints[0], jnp.asarray(t)
     block = None
     if isinstance(first, AbstractChainConstraint) and isinstance(operator, PairTensor):
@@ -136,28 +136,55 @@ def _evaluate(t: Time, state: State, scene: Scene) -> Evaluation:
     return _free_and_held(t, state, scene)[1]
 
 
-def _free_and_held(t: Time, state: State, scene: Scene) -> tuple[Motion, Evaluation]:
-    """The motion without constraints, and with them."""
-    position, chain = state.position, scene.chain
-    operator = scene.mobility.operator(position, chain.radius, scene.viscosity, scene.rotational)
-    free = _free_motion(t, state, scene, operator)
-    if not scene.constraints:
-        return free, Evaluation(free, jnp.zeros((0,), position.dtype))
-    j = _constraints(t, state, scene)
+class SaddlePoint(NamedTuple):
+    """The saddle-point system of one instant, factorised."""
+
+    operator: MobilityOperator
+    constraints: ConstraintMap
+    factor: Array
+    regular: Array
+
+    def multipliers(self, slip: Array) -> Array:
+        """-S^-1 slip; NaN where S is singular."""
+
+        def solve(_: Callable[[Array], Array], rhs: Array) -> Array:
+            rhs = jnp.where(self.regular, rhs, jnp.nan)
+            return jax.scipy.linalg.cho_solve((self.factor, True), rhs)
+
+        def compliance(x: Array) -> Array:
+            return self.constraints.compliance(self.operator, x)
+
+        return lax.custom_linear_solve(compliance, -slip, solve, symmetric=True)
+
+    def hold(self, free: Motion, slip: Array) -> Evaluation:
+        """The motion that takes from `free` what violates the constraints by `slip`."""
+        multipliers = self.multipliers(slip)
+        pulled = self.operator.motion(self.constraints.pull(multipliers))
+        return Evaluation(add_motions(free, pulled), multipliers)
+
+
+def mobility_operator(state: State, scene: Scene) -> MobilityOperator:
+    radius, viscosity = scene.chain.radius, scene.viscosity
+    return scene.mobility.operator(state.position, radius, viscosity, scene.rotational)
+
+
+def saddle_point(t: Time, state: State, scene: Scene, operator: MobilityOperator) -> SaddlePoint:
     matrix = _matrix(*lax.stop_gradient((t, state, scene, operator)))
     factor = lax.linalg.cholesky(matrix, symmetrize_input=False)
     # A row that depends on those before it leaves a pivot of rounding size, or NaN.
     pivot = jnp.diagonal(factor) ** 2 / jnp.diagonal(matrix)
     regular = jnp.min(pivot, initial=1.0) > 10 * len(pivot) * jnp.finfo(pivot.dtype).eps
+    return SaddlePoint(operator, constraint_map(t, state, scene), factor, regular)
 
-    def solve(_: Callable[[Array], Array], rhs: Array) -> Array:
-        return jax.scipy.linalg.cho_solve((factor, True), jnp.where(regular, rhs, jnp.nan))
 
-    multipliers = lax.custom_linear_solve(
-        lambda x: j.compliance(operator, x), -j.slip(free), solve, symmetric=True
-    )
-    held = add_motions(free, operator.motion(j.pull(multipliers)))
-    return free, Evaluation(held, multipliers)
+def _free_and_held(t: Time, state: State, scene: Scene) -> tuple[Motion, Evaluation]:
+    """The motion without constraints, and with them."""
+    operator = mobility_operator(state, scene)
+    free = free_motion(t, state, scene, operator)
+    if not scene.constraints:
+        return free, Evaluation(free, jnp.zeros((0,), state.position.dtype))
+    system = saddle_point(t, state, scene, operator)
+    return free, system.hold(free, system.constraints.slip(free))
 
 
 def motion(t: Time, state: State, scene: Scene) -> Motion:
@@ -172,7 +199,7 @@ def multipliers(t: Time, state: State, scene: Scene) -> Array:
 
 def constraint_load(t: Time, state: State, scene: Scene) -> Load:
     """Forces and torques of the constraints, J^T lambda, eq. (11)."""
-    return _constraints(t, state, scene).pull(multipliers(t, state, scene))
+    return constraint_map(t, state, scene).pull(multipliers(t, state, scene))
 
 
 def constraint_matrix(t: Time, state: State, scene: Scene) -> Float[Array, "rows rows"]:
@@ -182,10 +209,7 @@ def constraint_matrix(t: Time, state: State, scene: Scene) -> Float[Array, "rows
 
 @eqx.filter_jit
 def _full_matrix(t: Time, state: State, scene: Scene) -> Array:
-    operator = scene.mobility.operator(
-        state.position, scene.chain.radius, scene.viscosity, scene.rotational
-    )
-    lower = jnp.tril(_matrix(t, state, scene, operator))
+    lower = jnp.tril(_matrix(t, state, scene, mobility_operator(state, scene)))
     return lower + jnp.tril(lower, -1).T
 
 
@@ -225,7 +249,7 @@ def redundancy(t: Time, state: State, scene: Scene) -> str | None:
         for c, part in zip(scene.constraints, parts, strict=True)
         if part.max(initial=0.0) > 1e-6 * np.abs(null).max()
     ]
-    offset = np.asarray(_slips(time, state, scene)(still))
+    offset = np.asarray(slips(time, state, scene)(still))
     size = np.abs(null).T @ np.abs(offset)
     clash = np.any(np.abs(null.T @ offset) > 1e-8 * np.where(size == 0, 1.0, size))
     verb = "depends" if null.shape[1] == 1 else "depend"
@@ -247,14 +271,18 @@ def constraint_residual(t: Time, state: State, scene: Scene) -> Float[Array, ""]
 @eqx.filter_jit
 def _residual(t: Time, state: State, scene: Scene) -> Array:
     free, (moved, _) = _free_and_held(t, state, scene)
-    slip = _slips(t, state, scene)(moved)
+    slip = slips(t, state, scene)(moved)
     scale = jnp.maximum(jnp.max(jnp.abs(moved.velocity)), jnp.max(jnp.abs(free.velocity)))
     return jnp.linalg.norm(slip) / (max(slip.shape[0], 1) * jnp.where(scale == 0, 1.0, scale))
 
 
 def rate(t: Time, state: State, scene: Scene) -> State:
     """Time derivative of the state: the right-hand side that the solvers integrate, eqs (38), (48)."""
-    moved = motion(t, state, scene)
+    return moving(motion(t, state, scene), state)
+
+
+def moving(moved: Motion, state: State) -> State:
+    """Rate of change of the state in a motion."""
     if state.director is None:
         return State(moved.velocity)
     if moved.spin is None:

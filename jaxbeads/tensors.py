@@ -5,9 +5,11 @@ Component-major: every field is one `(beads, beads)` array, so that loops run al
 planar scene holds 6 fields where a spatial one holds 15.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -58,6 +60,56 @@ class PairTensor(eqx.Module):
             return Motion(velocity)
         return Motion(velocity, _products(self.rt, force, self.rr, torque))
 
+    def unit_motions(self, torque: bool) -> Motion:
+        """Motions under a unit force (or torque) along each component on each bead: the columns of M,
+        component by component, as a leading axis."""
+        linear, angular = (self.tr, self.rr) if torque else (self.tt, self.rt)
+        return Motion(_columns(linear), _columns(angular) if self.rr else None)
+
+    def pairs(self, load: Load) -> tuple[Field, ...]:
+        """What the load on bead j adds to each component of velocity and spin of bead i."""
+        force = None if load.force is None else load.force.T
+        torque = None if load.torque is None else load.torque.T
+        rows = _pairs(self.tt, force, self.tr, torque)
+        return rows + _pairs(self.rt, force, self.rr, torque) if self.rr else rows
+
+
+def _columns(table: Table | SignedTable) -> Float[Array, "loads beads components"]:
+    """Fields (from bead, to bead) of each component that loads, with all components that move."""
+
+    def column(entry: Signed | Array | None, other: Array) -> Array:
+        if isinstance(entry, Signed):
+            return (entry.sign * entry.field).T
+        return jnp.zeros_like(other) if entry is None else entry.T
+
+    some = next(f for row in table for f in row if f is not None)
+    other = some.field if isinstance(some, Signed) else some
+    loads = range(len(table[0]))
+    return jnp.concatenate(
+        [jnp.stack([column(row[j], other) for row in table], axis=2) for j in loads]
+    )
+
+
+def _pairs(
+    left: Table | SignedTable, a: Array | None, right: Table | SignedTable, b: Array | None
+) -> tuple[Field, ...]:
+    def term(entry: Signed | Array, component: Array) -> Array:
+        if isinstance(entry, Signed):
+            return entry.field * (entry.sign * component)[None, :]
+        return entry * component[None, :]
+
+    rows = []
+    for i in range(len(left)):
+        terms = [
+            term(entry, component)
+            for table, vector in ((left, a), (right, b))
+            if vector is not None and table
+            for entry, component in zip(table[i], vector, strict=True)
+            if entry is not None
+        ]
+        rows.append(sum(terms[1:], start=terms[0]))
+    return tuple(rows)
+
 
 def _products(
     left: Table | SignedTable, a: Array | None, right: Table | SignedTable, b: Array | None
@@ -83,8 +135,11 @@ class _Separation(NamedTuple):
     inverse: Field  # 1 / distance, 0 where the distance is 0
 
 
-def _separation(position: Float[Array, "beads dim"]) -> _Separation:
-    vector = [x[:, None] - x[None, :] for x in position.T]
+def _vectors(position: Float[Array, "beads dim"]) -> list[Field]:
+    return [x[:, None] - x[None, :] for x in position.T]
+
+
+def _separation(vector: list[Field]) -> _Separation:
     square = sum(d * d for d in vector)
     zero = square == 0
     distance = jnp.sqrt(jnp.where(zero, 1.0, square))
@@ -189,9 +244,12 @@ def rpy(
     References: Wajnryb, Mizerski, Zuk & Szymczak, J. Fluid Mech. 731 (2013) R3 (equal radii); Zuk,
     Wajnryb, Mizerski & Szymczak, J. Fluid Mech. 741 (2014) R5 (unequal radii).
     """
-    s = _separation(position)
+    return _rpy(_vectors(position), radius, viscosity, rotational)
+
+
+def _rpy(vector: list[Field], radius: Array, viscosity: Array, rotational: bool) -> PairTensor:
+    s, dim, turns = _separation(vector), len(vector), spins(len(vector))
     scalars = _equal(s, radius) if radius.ndim == 0 else _unequal(s, radius)
-    dim, turns = position.shape[1], spins(position.shape[1])
     # Each field ends in a division. XLA on the CPU evaluates cheap producers anew in each consumer
     # but never a division, so this keeps a field from being computed again for every use.
     tt = _dyads(scalars.tt1, scalars.tt2, s.vector, viscosity)
@@ -266,23 +324,78 @@ def shear_disturbance(
 
     Reference: Wajnryb et al., J. Fluid Mech. 731 (2013) R3; Zuk et al., ibid. 741 (2014) R5.
     """
-    s = _separation(position)
+    beads, dim = position.shape
+    ones = jnp.ones(beads, position.dtype)  # a product with ones sums faster than `sum`
+    sums = [f @ ones for f in _disturbance(_vectors(position), radius, strain_rate, rotational)]
+    velocity = jnp.stack(sums[:dim], axis=1)
+    return Motion(velocity, jnp.stack(sums[dim:], axis=1) if rotational else None)
+
+
+def _disturbance(
+    vector: list[Field], radius: Array, strain_rate: Array, rotational: bool
+) -> tuple[Field, ...]:
+    """What the strain at bead j adds to each component of velocity and spin of bead i."""
+    s, dim, d = _separation(vector), len(vector), vector
     c1, c2, cr = _strain_equal(s, radius) if radius.ndim == 0 else _strain_unequal(s, radius)
-    dim, d = position.shape[1], s.vector
     # One tensor: numbers; one for each bead: rows along j.
     rows = strain_rate if strain_rate.ndim == 2 else strain_rate[None]
     e = [[rows[..., i, j] for j in range(dim)] for i in range(dim)]
     ed = [sum(e[i][j] * d[j] for j in range(dim)) for i in range(dim)]
     ded = c2 * sum(d[i] * ed[i] for i in range(dim))
-    ones = jnp.ones(position.shape[0], position.dtype)  # a product with ones sums faster than `sum`
-    velocity = jnp.stack([(c1 * ed[i] + ded * d[i]) @ ones for i in range(dim)], axis=1)
+    velocity = tuple(c1 * ed[i] + ded * d[i] for i in range(dim))
     if not rotational:
-        return Motion(velocity)
-    turn = [jnp.zeros(())] * spins(dim)
+        return velocity
     if dim == 2:
-        turn[0] = cr * (ed[0] * d[1] - ed[1] * d[0])
-    else:
-        for i, j, k, sign in CROSS[3]:
-            turn[i] = turn[i] + sign * ed[j] * d[k]
-        turn = [cr * w for w in turn]
-    return Motion(velocity, jnp.stack([w @ ones for w in turn], axis=1))
+        return (*velocity, cr * (ed[0] * d[1] - ed[1] * d[0]))
+    turn = [jnp.zeros(())] * 3
+    for i, j, k, sign in CROSS[3]:
+        turn[i] = turn[i] + sign * ed[j] * d[k]
+    return (*velocity, *(cr * w for w in turn))
+
+
+def rpy_gradient(
+    position: Float[Array, "beads dim"],
+    radius: Float[Array, ""] | Float[Array, " beads"],
+    viscosity: Float[Array, ""],
+    rotational: bool,
+    load: Load,
+    strain: Callable[[Array], Array] | None,
+) -> Motion:
+    """Derivative by the positions of M F + C:E, with F held.
+
+    What bead j does to bead i depends on their separation d, so that a row of pairs differentiated by d
+    yields the derivatives by all positions: minus by that of j, plus its sum by that of i.
+
+    **Arguments**: as for `rpy`; forces and torques; the ambient rate of strain as a function of the
+    positions (see `shear_disturbance`) or `None`. **Returns** motions with a leading axis of positions,
+    component by component.
+    """
+    dim, vectors = position.shape[1], _vectors(position)
+    loaded = load.force is not None or load.torque is not None
+
+    def pairs(vector: list[Field], rate: Array | None) -> tuple[Field, ...]:
+        moved: list[tuple[Field, ...]] = []
+        if loaded:
+            moved.append(_rpy(vector, radius, viscosity, rotational).pairs(load))
+        if rate is not None:
+            moved.append(_disturbance(vector, radius, rate, rotational))
+        return tuple(sum(parts[1:], start=parts[0]) for parts in zip(*moved, strict=True))
+
+    columns = []
+    for c in range(dim):
+        along = [jnp.full_like(d, i == c) for i, d in enumerate(vectors)]
+        if strain is None:
+            rows = jax.jvp(lambda v: pairs(v, None), (vectors,), (along,))[1]
+            own = rows
+        else:
+            shift = jnp.zeros_like(position).at[:, c].set(1.0)
+            rate, slope = jax.jvp(strain, (position,), (shift,))
+            rows = jax.jvp(lambda v: pairs(v, rate), (vectors,), (along,))[1]
+            own = rows
+            if rate.ndim == 3:  # the strain at bead j changes with its position
+                extra = _disturbance(vectors, radius, slope, rotational)
+                rows = tuple(r - e for r, e in zip(rows, extra, strict=True))
+        each = [jnp.diag(o.sum(axis=1)) - r for o, r in zip(own, rows, strict=True)]
+        columns.append(jnp.stack([x.T for x in each], axis=2))
+    both = jnp.concatenate(columns)
+    return Motion(both[:, :, :dim], both[:, :, dim:] if rotational else None)

@@ -1,5 +1,7 @@
 """Free draining: every bead feels its own Stokes drag only."""
 
+from collections.abc import Callable
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
@@ -49,4 +51,16 @@ class FreeDraining(AbstractMobility):
         rotational: bool,
     ) -> None:
         """None: a bead does not see the others' stresslets."""
+        return None
+
+    def gradient(
+        self,
+        position: Float[Array, "beads dim"],
+        radius: Float[Array, ""] | Float[Array, " beads"],
+        viscosity: Float[Array, ""],
+        rotational: bool,
+        load: Load,
+        strain: Callable[[Array], Array] | None,
+    ) -> None:
+        """None: the mobility is the same everywhere."""
         return None

@@ -1,10 +1,12 @@
 """Rotne-Prager-Yamakawa: the beads' far-field interactions, regular at any distance."""
 
+from collections.abc import Callable
+
 import equinox as eqx
 from jaxtyping import Array, Float
 
 from .. import tensors
-from ..state import Motion
+from ..state import Load, Motion
 from .base import AbstractMobility
 
 
@@ -42,3 +44,18 @@ class RPY(AbstractMobility):
         if not self.strained:
             return None
         return tensors.shear_disturbance(position, radius, strain_rate, rotational)
+
+    def gradient(
+        self,
+        position: Float[Array, "beads dim"],
+        radius: Float[Array, ""] | Float[Array, " beads"],
+        viscosity: Float[Array, ""],
+        rotational: bool,
+        load: Load,
+        strain: Callable[[Array], Array] | None,
+    ) -> Motion | None:
+        """Derivative of M F + C:E, found for pairs."""
+        strain = strain if self.strained else None
+        if load.force is None and load.torque is None and strain is None:
+            return None
+        return tensors.rpy_gradient(position, radius, viscosity, rotational, load, strain)

@@ -6,6 +6,7 @@ a line here and a line in `tests/cases.py`.
 """
 
 from .ab3 import AB3 as AB3
+from .rosenbrock import Rosenbrock as Rosenbrock
 from .stepping import AdaptiveSteps as AdaptiveSteps
 from .stepping import FixedSteps as FixedSteps
 from .stepping import explicit_step as explicit_step
