@@ -172,13 +172,17 @@ def linked(chain: Chain, director: Float[Array, "beads dim"]) -> Float[Array, "b
 
 
 def place(
-    chain: Chain, bonds: Float[Array, "bonds dim"], centres: Float[Array, "fibres dim"]
+    chain: Chain,
+    bonds: Float[Array, "bonds dim"],
+    points: Float[Array, "fibres dim"],
+    weights: Float[Array, "fibres beads"] | None = None,
 ) -> Float[Array, "beads dim"]:
     """Positions from the vectors between neighbours (those between fibres are not used) and one
-    centre for each fibre, without checks."""
+    point for each fibre, without checks: its centre, or the weighted mean of its beads."""
     step = bonds * chain.bond_mask[:, None]
     position = jnp.pad(jnp.cumsum(step, axis=0), ((1, 0), (0, 0)))
-    return position + (centres - chain.centres(position))[chain.fibre_of_bead]
+    present = chain.centres(position) if weights is None else weights @ position
+    return position + (points - present)[chain.fibre_of_bead]
 
 
 def straight(chain: Chain, direction: Any, centre: Any = None) -> State:

@@ -38,20 +38,28 @@ def applied_load(t: Time, state: State, scene: Scene) -> Load:
     return add_loads(*(force.load(jnp.asarray(t), state, scene.chain) for force in scene.forces))
 
 
+def _flow_at(t: Time, state: State, scene: Scene) -> tuple[Motion, Array]:
+    """Motion of the fluid at the beads and its rate of strain."""
+    velocity, gradient = velocity_and_gradient(scene.flow, jnp.asarray(t), state.position)
+    spin, strain = spin_and_strain(gradient)
+    still = zero_motion(state, scene.rotational).spin
+    turned = None if still is None else jnp.broadcast_to(spin, still.shape)
+    return Motion(velocity, turned), strain
+
+
+def carried(t: Time, state: State, scene: Scene) -> Motion:
+    """V_inf, the motion of the fluid at the beads."""
+    return _flow_at(t, state, scene)[0]
+
+
 def ambient_motion(t: Time, state: State, scene: Scene) -> Motion | None:
     """V_inf + C : E, the motion of beads without load; `None` without a flow."""
     if scene.flow is None:
         return None
-    velocity, gradient = velocity_and_gradient(scene.flow, jnp.asarray(t), state.position)
-    spin, strain = spin_and_strain(gradient)
-    carried = zero_motion(state, scene.rotational)
-    if carried.spin is not None:
-        carried = Motion(velocity, jnp.broadcast_to(spin, carried.spin.shape))
-    else:
-        carried = Motion(velocity)
+    fluid, strain = _flow_at(t, state, scene)
     position, radius = state.position, scene.chain.radius
     disturbance = scene.mobility.shear_disturbance(position, radius, strain, scene.rotational)
-    return carried if disturbance is None else add_motions(carried, disturbance)
+    return fluid if disturbance is None else add_motions(fluid, disturbance)
 
 
 def free_motion(t: Time, state: State, scene: Scene, operator: MobilityOperator) -> Motion:
@@ -156,11 +164,14 @@ class SaddlePoint(NamedTuple):
 
         return lax.custom_linear_solve(compliance, -slip, solve, symmetric=True)
 
-    def hold(self, free: Motion, slip: Array) -> Evaluation:
-        """The motion that takes from `free` what violates the constraints by `slip`."""
-        multipliers = self.multipliers(slip)
-        pulled = self.operator.motion(self.constraints.pull(multipliers))
-        return Evaluation(add_motions(free, pulled), multipliers)
+    def pulled(self, multipliers: Array) -> Motion:
+        """M J^T lambda."""
+        return self.operator.motion(self.constraints.pull(multipliers))
+
+    def hold(self, free: Motion) -> Evaluation:
+        """The motion without constraints made to meet them."""
+        multipliers = self.multipliers(self.constraints.slip(free))
+        return Evaluation(add_motions(free, self.pulled(multipliers)), multipliers)
 
 
 def mobility_operator(state: State, scene: Scene) -> MobilityOperator:
@@ -183,8 +194,7 @@ def _free_and_held(t: Time, state: State, scene: Scene) -> tuple[Motion, Evaluat
     free = free_motion(t, state, scene, operator)
     if not scene.constraints:
         return free, Evaluation(free, jnp.zeros((0,), state.position.dtype))
-    system = saddle_point(t, state, scene, operator)
-    return free, system.hold(free, system.constraints.slip(free))
+    return free, saddle_point(t, state, scene, operator).hold(free)
 
 
 def motion(t: Time, state: State, scene: Scene) -> Motion:

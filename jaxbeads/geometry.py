@@ -27,6 +27,16 @@ def cross(a: Float[Array, "*batch dim"], b: Float[Array, "*batch dim"]) -> Array
     return jnp.cross(a, b)
 
 
+def normals(direction: Float[Array, "*batch dim"]) -> Float[Array, "*batch dim-1 dim"]:
+    """Unit vectors normal to unit vectors and to one another; in space, which ones is arbitrary."""
+    if direction.shape[-1] == 2:
+        return jnp.stack([-direction[..., 1], direction[..., 0]], axis=-1)[..., None, :]
+    # The axis farthest from the direction leaves the largest normal.
+    axis = jnp.eye(3, dtype=direction.dtype)[jnp.argmin(jnp.abs(direction), axis=-1)]
+    first = unit(jnp.cross(direction, axis))
+    return jnp.stack([first, jnp.cross(direction, first)], axis=-2)
+
+
 def spin_cross(spin: Array, arm: Float[Array, "*batch dim"]) -> Float[Array, "*batch dim"]:
     """w x r: velocity at `arm` from the centre of a bead that turns with `spin`."""
     if arm.shape[-1] == 2:

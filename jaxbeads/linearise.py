@@ -8,163 +8,186 @@ import jax.numpy as jnp
 from jax.extend.core import Literal
 from jaxtyping import Array, Float
 
+from .coordinates import Coordinates
 from .dynamics import (
     SaddlePoint,
     Time,
     applied_load,
+    carried,
     constraint_map,
     free_motion,
     mobility_operator,
     moving,
+    rate,
     saddle_point,
     slips,
 )
 from .flow.base import spin_and_strain, velocity_and_gradient
 from .mobility import MobilityOperator
 from .scene import Scene
-from .state import (
-    Load,
-    Motion,
-    State,
-    add_loads,
-    add_motions,
-    ravel,
-    spins,
-    unravel,
-    zero_motion,
-)
+from .state import Load, Motion, State, add_loads, add_motions, spins, zero_motion
 from .tensors import PairTensor
 
 
 class Linearisation(NamedTuple):
-    """The right-hand side f(t, Q) about one instant, raveled as `state.ravel` does."""
+    """The rate dx/dt = f(t, x) of coordinates about x = 0 at one instant."""
 
     rate: Float[Array, " numbers"]
     """f."""
     drift: Float[Array, " numbers"]
-    """df/dt, configuration held."""
+    """df/dt."""
     jacobian: Float[Array, "numbers numbers"]
-    """df/dQ."""
+    """df/dx."""
 
 
-def linearise(t: Time, state: State, scene: Scene) -> Linearisation:
-    """The rate with its exact derivatives, for implicit solvers.
+def coordinate_rate(
+    t: Time, x: Float[Array, " numbers"], coordinates: Coordinates, scene: Scene
+) -> Float[Array, " numbers"]:
+    """dx/dt = f(t, x)."""
+    state = coordinates.state(x)
+    return coordinates.rate(x, state, rate(t, state, scene))
+
+
+def linearise(t: Time, coordinates: Coordinates, scene: Scene) -> Linearisation:
+    """The rate of the coordinates at x = 0 with its exact derivatives.
 
     The saddle-point system is differentiated, not its solution: with multipliers and motion held,
 
         J dQdot = -(dJ Qdot + dB),   dQdot = d[M (F + J^T lambda) + V_inf + C:E] + M J^T dlambda,
 
     so all columns share the factor of S that the rate needs anyway. The derivative of M by the positions
-    is found for pairs (`AbstractMobility.gradient`): the whole costs O(N^2) operations for the
-    derivatives and O(N^3) in matrix products.
+    is found for pairs (`AbstractMobility.gradient`): O(N^2) operations for each set of columns, and
+    O(N^3) in matrix products only.
+
+    **Arguments**: time; coordinates about the state; scene. **Returns** a `Linearisation`; NaN as for
+    `dynamics.evaluate`.
     """
-    t = jnp.asarray(t)
+    t, x, state = jnp.asarray(t), coordinates.origin, coordinates.start
     operator = mobility_operator(state, scene)
     system = saddle_point(t, state, scene, operator) if scene.constraints else None
-    free, later = jax.jvp(
-        lambda t: free_motion(t, state, scene, operator), (t,), (jnp.ones_like(t),)
-    )
-    if system is None:
-        held, multipliers = free, None
-    else:
-        j = system.constraints
-        held, multipliers = system.hold(free, j.slip(free))
-        late = jax.jvp(lambda t: slips(t, state, scene)(held), (t,), (jnp.ones_like(t),))[1]
-        later = system.hold(later, j.slip(later) - j.offset + late).motion
-    moved = _explicit_columns(t, state, scene, operator, multipliers)
+    free = free_motion(t, state, scene, operator)
+    held, multipliers = (free, None) if system is None else system.hold(free)
+    moved = _explicit_columns(t, coordinates, scene, operator, multipliers)
     if system is not None:
-        moved = _hold_columns(t, state, scene, system, held, moved)
-    columns = jax.vmap(lambda m: ravel(moving(m, state)))(moved)
-    if state.director is not None:
-        columns = columns + _columns(lambda s: ravel(moving(held, s)), state)
-    return Linearisation(ravel(moving(held, state)), ravel(moving(later, state)), columns.T)
+        moved = _hold_columns(t, coordinates, scene, system, held, moved)
+
+    def along(x: Array) -> Array:
+        state = coordinates.state(x)
+        return coordinates.rate(x, state, moving(held, state))
+
+    def still(motion: Motion) -> Array:
+        return coordinates.rate(x, state, moving(motion, state))
+
+    columns = jax.vmap(still)(moved) + _columns(along, x)
+    drift = jnp.zeros_like(x)
+    later = _drift(t, state, scene, operator, system, held)
+    if later is not None:
+        drift = still(later)
+    return Linearisation(still(held), drift, columns.T)
 
 
-def _columns(function: Callable[[State], Any], state: State) -> Any:
-    """Derivatives of a cheap function by each number of the state, as a leading axis."""
-    numbers = ravel(state)
-    _, push = jax.linearize(lambda x: function(unravel(x, state)), numbers)
-    return jax.vmap(push)(jnp.eye(len(numbers), dtype=numbers.dtype))
+def _drift(
+    t: Array,
+    state: State,
+    scene: Scene,
+    operator: MobilityOperator,
+    system: SaddlePoint | None,
+    held: Motion,
+) -> Motion | None:
+    """Derivative of the motion by the time; `None` if nothing depends on it."""
+
+    def terms(t: Array) -> tuple[Motion, Array | None]:
+        slip = None if system is None else slips(t, state, scene)(held)
+        return free_motion(t, state, scene, operator), slip
+
+    if not any(_reached(terms, t)):
+        return None
+    free, slip = jax.jvp(terms, (t,), (jnp.ones_like(t),))[1]
+    if system is None or slip is None:
+        return free
+    slip = slip + system.constraints.slip(free) - system.constraints.offset
+    return add_motions(free, system.pulled(system.multipliers(slip)))
+
+
+def _columns(function: Callable[[Array], Any], x: Array) -> Any:
+    """Derivatives of a cheap function by each number, as a leading axis."""
+    _, push = jax.linearize(function, x)
+    return jax.vmap(push)(jnp.eye(len(x), dtype=x.dtype))
+
+
+def _reached(function: Callable[[Array], Any], x: Array) -> list[bool]:
+    """Which of the arrays that a function returns depend on x at all."""
+    program = jax.make_jaxpr(function)(x).jaxpr
+    reached = set(program.invars)
+    for step in program.eqns:
+        if any(v in reached for v in step.invars if not isinstance(v, Literal)):
+            reached.update(step.outvars)
+    return [not isinstance(v, Literal) and v in reached for v in program.outvars]
 
 
 def _explicit_columns(
-    t: Array, state: State, scene: Scene, operator: MobilityOperator, multipliers: Array | None
+    t: Array,
+    coordinates: Coordinates,
+    scene: Scene,
+    operator: MobilityOperator,
+    multipliers: Array | None,
 ) -> Motion:
     """Derivatives of M (F + J^T lambda) + V_inf + C:E with lambda held."""
 
-    def load(state: State) -> Load:
+    def load(x: Array) -> Load:
+        state = coordinates.state(x)
         applied = applied_load(t, state, scene)
         if multipliers is None:
             return applied
         return add_loads(applied, constraint_map(t, state, scene).pull(multipliers))
 
-    def flow(position: Array) -> tuple[Array, Array]:
-        return velocity_and_gradient(scene.flow, t, position)
-
     def strain(position: Array) -> Array:
-        return spin_and_strain(flow(position)[1])[1]
+        return spin_and_strain(velocity_and_gradient(scene.flow, t, position)[1])[1]
 
-    position, rotational = state.position, scene.rotational
-    moved = scene.mobility.gradient(
-        position,
+    x, state = coordinates.origin, coordinates.start
+    shifts = _columns(lambda x: coordinates.state(x).position, x)
+    still = zero_motion(state, scene.rotational)
+    moved = jax.tree.map(lambda v: jnp.zeros((len(x), *v.shape), v.dtype), still)
+    interactions = scene.mobility.gradient(
+        state.position,
         scene.chain.radius,
         scene.viscosity,
-        rotational,
-        load(state),
+        scene.rotational,
+        load(x),
         None if scene.flow is None else strain,
+        shifts,
     )
+    if interactions is not None:
+        moved = add_motions(moved, interactions)
     if scene.flow is not None:
-        # What carries a bead depends on its own place only: one derivative by each direction.
-        def carried(position: Array) -> Motion:
-            velocity, gradient = flow(position)
-            spin = jnp.broadcast_to(spin_and_strain(gradient)[0], (len(position), spins(dim)))
-            return Motion(velocity, spin if rotational else None)
-
-        dim = position.shape[1]
-        shifts = jnp.broadcast_to(jnp.eye(dim)[:, None], (dim, *position.shape))
-        slopes = jax.vmap(lambda d: jax.jvp(carried, (position,), (d,))[1])(shifts)
-        each = jnp.eye(len(position), dtype=position.dtype)[:, :, None]
-        slopes = jax.tree.map(
-            lambda s: (each * s[:, None]).reshape(-1, *s.shape[1:]), slopes
-        )
-        moved = slopes if moved is None else add_motions(moved, slopes)
-    count, still = ravel(state).shape[0], zero_motion(state, rotational)
-    if moved is None:
-        moved = jax.tree.map(lambda x: jnp.zeros((count, *x.shape), x.dtype), still)
-    else:  # nothing of it depends on directors
-        moved = jax.tree.map(
-            lambda x: jnp.pad(x, ((0, count - len(x)), (0, 0), (0, 0))), moved
-        )
-    loads = _columns(lambda s: _varying(load, s), state)
-    if loads.force is None and loads.torque is None:
-        return moved
-    return add_motions(moved, jax.vmap(operator.motion)(loads))
-
-
-def _varying(load: Callable[[State], Load], state: State) -> Load:
-    """The load without the part (forces, torques) that does not depend on the state at all."""
-    traced = jax.make_jaxpr(lambda x: load(unravel(x, state)))(ravel(state))
-    reached = set(traced.jaxpr.invars)
-    for step in traced.jaxpr.eqns:
-        if any(v in reached for v in step.invars if not isinstance(v, Literal)):
-            reached.update(step.outvars)
-    parts = {n: x for n, x in vars(load(state)).items() if x is not None}
-    outcome = zip(parts.items(), traced.jaxpr.outvars, strict=True)
-    return Load(**{n: x for (n, x), variable in outcome if variable in reached})
+        moved = add_motions(moved, _columns(lambda x: carried(t, coordinates.state(x), scene), x))
+    # Loads that are the same everywhere, as weights, have no columns.
+    parts = {name: part for name, part in vars(load(x)).items() if part is not None}
+    varying = [n for n, r in zip(parts, _reached(load, x), strict=True) if r]
+    if varying:
+        loads = _columns(lambda x: {name: getattr(load(x), name) for name in varying}, x)
+        moved = add_motions(moved, jax.vmap(lambda part: operator.motion(Load(**part)))(loads))
+    return moved
 
 
 def _hold_columns(
-    t: Array, state: State, scene: Scene, system: SaddlePoint, held: Motion, moved: Motion
+    t: Array,
+    coordinates: Coordinates,
+    scene: Scene,
+    system: SaddlePoint,
+    held: Motion,
+    moved: Motion,
 ) -> Motion:
     """Derivatives of the motion from those without a change of the multipliers."""
-    j = system.constraints
-    slip = jax.vmap(lambda m: j.slip(m) - j.offset)
-    turned = _columns(lambda s: slips(t, s, scene)(held), state)
+    j, state = system.constraints, coordinates.start
+    slip = jax.vmap(lambda motion: j.slip(motion) - j.offset)
+    turned = _columns(lambda x: slips(t, coordinates.state(x), scene)(held), coordinates.origin)
     multipliers = jax.vmap(system.multipliers)(slip(moved) + turned)
 
     def pulled(torque: bool) -> Array:
         # M is symmetric: the motion under multipliers is what unit loads make slip.
-        return _per_bead(multipliers @ slip(_unit_motions(system.operator, state, torque)).T, state)
+        rows = multipliers @ slip(_unit_motions(system.operator, state, torque)).T
+        return _per_bead(rows, state)
 
     velocity = moved.velocity + pulled(False)
     # Spins matter where they turn directors.

@@ -360,15 +360,16 @@ def rpy_gradient(
     rotational: bool,
     load: Load,
     strain: Callable[[Array], Array] | None,
+    shifts: Float[Array, "shifts beads dim"],
 ) -> Motion:
-    """Derivative by the positions of M F + C:E, with F held.
+    """Derivatives of M F + C:E along shifts of the positions, with F held.
 
-    What bead j does to bead i depends on their separation d, so that a row of pairs differentiated by d
-    yields the derivatives by all positions: minus by that of j, plus its sum by that of i.
+    What bead j does to bead i depends on their separation d: differentiated by d for each pair once, a
+    shift s changes it by the sum over j of these fields times s_i - s_j.
 
     **Arguments**: as for `rpy`; forces and torques; the ambient rate of strain as a function of the
-    positions (see `shear_disturbance`) or `None`. **Returns** motions with a leading axis of positions,
-    component by component.
+    positions (see `shear_disturbance`) or `None`; shifts [length]. **Returns** motions with a leading
+    axis of shifts.
     """
     dim, vectors = position.shape[1], _vectors(position)
     loaded = load.force is not None or load.torque is not None
@@ -381,21 +382,20 @@ def rpy_gradient(
             moved.append(_disturbance(vector, radius, rate, rotational))
         return tuple(sum(parts[1:], start=parts[0]) for parts in zip(*moved, strict=True))
 
-    columns = []
+    rate = None if strain is None else strain(position)
+    total: list[Array] = []
     for c in range(dim):
         along = [jnp.full_like(d, i == c) for i, d in enumerate(vectors)]
-        if strain is None:
-            rows = jax.jvp(lambda v: pairs(v, None), (vectors,), (along,))[1]
-            own = rows
-        else:
+        slopes = jax.jvp(lambda v: pairs(v, rate), (vectors,), (along,))[1]
+        own = [f.sum(axis=1) for f in slopes]
+        if strain is not None and rate is not None and rate.ndim == 3:
+            # The strain at bead j changes with its place.
             shift = jnp.zeros_like(position).at[:, c].set(1.0)
-            rate, slope = jax.jvp(strain, (position,), (shift,))
-            rows = jax.jvp(lambda v: pairs(v, rate), (vectors,), (along,))[1]
-            own = rows
-            if rate.ndim == 3:  # the strain at bead j changes with its position
-                extra = _disturbance(vectors, radius, slope, rotational)
-                rows = tuple(r - e for r, e in zip(rows, extra, strict=True))
-        each = [jnp.diag(o.sum(axis=1)) - r for o, r in zip(own, rows, strict=True)]
-        columns.append(jnp.stack([x.T for x in each], axis=2))
-    both = jnp.concatenate(columns)
-    return Motion(both[:, :, :dim], both[:, :, dim:] if rotational else None)
+            slope = jax.jvp(strain, (position,), (shift,))[1]
+            others = _disturbance(vectors, radius, slope, rotational)
+            slopes = [f - g for f, g in zip(slopes, others, strict=True)]
+        s = shifts[:, :, c]
+        parts = [s * o - s @ f.T for o, f in zip(own, slopes, strict=True)]
+        total = parts if not total else [a + b for a, b in zip(total, parts, strict=True)]
+    velocity = jnp.stack(total[:dim], axis=2)
+    return Motion(velocity, jnp.stack(total[dim:], axis=2) if rotational else None)

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..chain import Chain, place
-from ..geometry import bond_lengths, tangents
+from ..chain import Chain
+from ..geometry import bond_lengths, bonds, unit
 from ..state import Motion, State
 from ..tensors import PairTensor
 
@@ -30,6 +30,11 @@ class AbstractConstraint(eqx.Module):
     @abc.abstractmethod
     def slip(self, t: Float[Array, ""], state: State, motion: Motion, chain: Chain) -> Array:
         """What the constraint sets to zero; affine in `motion`, any shape, independent entries."""
+
+    @property
+    def held(self) -> int | None:
+        """Index of a bead whose place it prescribes: its fibre is placed by it."""
+        return None
 
     def check(self, chain: Chain, dim: int) -> None:
         """Refuse a chain or a dimension that the constraint cannot serve, in one sentence."""
@@ -52,20 +57,20 @@ class AbstractChainConstraint(AbstractConstraint):
     def drift(self, state: State, chain: Chain) -> Float[Array, " bonds"]:
         """Relative error of each bond length; 0 between fibres."""
 
-    @abc.abstractmethod
-    def project(self, state: State, chain: Chain) -> State:
-        """The state with its bond lengths restored, directions and centres of fibres kept."""
+    def directions(self, state: State, chain: Chain) -> Float[Array, "directions dim"]:
+        """The unit vectors that make the chain's shape: those of its bonds (0 between fibres)."""
+        return unit(jnp.where(chain.bond_mask[:, None], bonds(state.position), 0.0))
+
+    def bonds(
+        self, direction: Float[Array, "directions dim"], chain: Chain
+    ) -> Float[Array, "bonds dim"]:
+        """Vectors between neighbours, from the directions."""
+        return direction * chain.bond_length[:, None]
 
 
 def bond_drift(state: State, chain: Chain) -> Float[Array, " bonds"]:
     """Relative error of the distances of neighbours; 0 between fibres."""
     return (bond_lengths(state.position) / chain.bond_length - 1) * chain.bond_mask
-
-
-def with_bond_lengths(state: State, chain: Chain) -> State:
-    """Beads set along the present tangents at the chain's bond lengths, centres of fibres kept."""
-    bonds = tangents(state.position) * chain.bond_length[:, None]
-    return State(place(chain, bonds, chain.centres(state.position)), state.director)
 
 
 Difference = Callable[[Array], Array]

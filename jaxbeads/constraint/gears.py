@@ -16,7 +16,6 @@ from .base import (
     bond_drift,
     ends,
     regular,
-    with_bond_lengths,
 )
 
 
@@ -97,10 +96,6 @@ class Gears(AbstractChainConstraint):
     def drift(self, state: State, chain: Chain) -> Float[Array, " bonds"]:
         """Distance of neighbours over its value at rest, minus 1."""
         return bond_drift(state, chain)
-
-    def project(self, state: State, chain: Chain) -> State:
-        """Beads set along the present tangents at touching distance."""
-        return with_bond_lengths(state, chain)
 
 
 def _weighted(difference: Difference, row: Array | None, column: Array | None) -> Difference:

@@ -9,7 +9,7 @@ from ..chain import Chain
 from ..geometry import tangents
 from ..state import Motion, State
 from ..tensors import PairTensor
-from .base import AbstractChainConstraint, bond_drift, ends, regular, with_bond_lengths
+from .base import AbstractChainConstraint, bond_drift, ends, regular
 
 
 class Inextensible(AbstractChainConstraint):
@@ -45,7 +45,3 @@ class Inextensible(AbstractChainConstraint):
     def drift(self, state: State, chain: Chain) -> Float[Array, " bonds"]:
         """Distance of neighbours over its value at rest, minus 1."""
         return bond_drift(state, chain)
-
-    def project(self, state: State, chain: Chain) -> State:
-        """Beads set along the present tangents at their bond lengths."""
-        return with_bond_lengths(state, chain)

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from ..chain import Chain, linked, place
+from ..chain import Chain, linked
 from ..geometry import bonds, norm, spin_cross, unit
 from ..state import Motion, State
 from ..tensors import CROSS, PairTensor
@@ -78,10 +78,14 @@ class Joint(AbstractChainConstraint):
         worst = jnp.maximum(apart / chain.bond_length, jnp.maximum(off[:-1], off[1:]))
         return worst * chain.bond_mask
 
-    def project(self, state: State, chain: Chain) -> State:
-        """Directors of length one, and beads set along them so that the joints coincide."""
+    def directions(self, state: State, chain: Chain) -> Float[Array, "directions dim"]:
+        """The directors, at length one."""
         if state.director is None:
             raise ValueError("Argument `state` must hold directors for Joint, but it holds none.")
-        director = unit(state.director)
-        centres = chain.centres(state.position)
-        return State(place(chain, linked(chain, director), centres), director)
+        return unit(state.director)
+
+    def bonds(
+        self, direction: Float[Array, "directions dim"], chain: Chain
+    ) -> Float[Array, "bonds dim"]:
+        """Vectors between neighbours whose joints coincide."""
+        return linked(chain, direction)

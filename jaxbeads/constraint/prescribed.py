@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 from .._checks import index, law, whole
 from .._typing import leaf_function
 from ..chain import Chain
-from ..geometry import bonds, cross, norm, tangents, unit
+from ..geometry import bonds, norm, normals, tangents, unit
 from ..state import Motion, State, spins
 from .base import AbstractConstraint
 
@@ -51,6 +51,11 @@ class PrescribedPosition(AbstractConstraint):
 
     def __check_init__(self) -> None:
         whole("bead", self.bead, -(10**9))
+
+    @property
+    def held(self) -> int:
+        """The bead."""
+        return self.bead
 
     def check(self, chain: Chain, dim: int) -> None:
         """A bead of the chain, and a law of the scene's dimension."""
@@ -124,12 +129,7 @@ class PrescribedDirection(AbstractConstraint):
         e, turning = unit(d), bonds(motion.velocity)[self.bond]
         if self.law is not None:
             turning = turning - norm(d) * _rate(self.law, t)
-        if d.shape[0] == 2:
-            return cross(e, turning)
-        # The axis farthest from the bond gives two normals; which ones does not matter.
-        axis = jnp.eye(3, dtype=e.dtype)[jnp.argmin(jnp.abs(e))]
-        first = unit(jnp.cross(e, axis))
-        return jnp.stack([jnp.dot(first, turning), jnp.dot(jnp.cross(e, first), turning)])
+        return normals(e) @ turning
 
 
 class PrescribedLengths(AbstractConstraint):

@@ -6,10 +6,9 @@ from typing import Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..state import Load, Motion, State, add_motions, ravel, unravel
+from ..state import Load, Motion, add_motions
 
 
 @runtime_checkable
@@ -59,24 +58,23 @@ class AbstractMobility(eqx.Module):
         rotational: bool,
         load: Load,
         strain: Callable[[Array], Array] | None,
+        shifts: Float[Array, "shifts beads dim"],
     ) -> Motion | None:
-        """Derivative by the positions of M F + C:E with F held, for implicit solvers.
+        """Derivatives of M F + C:E along shifts of the positions, with F held, for implicit solvers.
 
-        One position after the other unless a mobility knows better.
+        One shift after the other, vectorised, unless a mobility knows better.
 
         **Arguments**: as above; `strain`: the ambient rate of strain as a function of the positions,
-        or `None`. **Returns** motions with a leading axis of positions, component by component;
-        `None` if nothing depends on them.
+        or `None`. **Returns** motions with a leading axis of shifts; `None` if nothing depends on the
+        positions.
         """
-        like = State(position)
 
-        def moved(numbers: Array) -> Motion:
-            x = unravel(numbers, like).position
+        def moved(x: Array) -> Motion:
             motion = self.operator(x, radius, viscosity, rotational).motion(load)
             if strain is None:
                 return motion
             disturbance = self.shear_disturbance(x, radius, strain(x), rotational)
             return motion if disturbance is None else add_motions(motion, disturbance)
 
-        derivative = jax.jacfwd(moved)(ravel(like))
-        return jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), derivative)
+        _, push = jax.linearize(moved, position)
+        return jax.vmap(push)(shifts)

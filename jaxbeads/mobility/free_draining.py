@@ -61,6 +61,7 @@ class FreeDraining(AbstractMobility):
         rotational: bool,
         load: Load,
         strain: Callable[[Array], Array] | None,
+        shifts: Float[Array, "shifts beads dim"],
     ) -> None:
         """None: the mobility is the same everywhere."""
         return None

@@ -53,9 +53,10 @@ class RPY(AbstractMobility):
         rotational: bool,
         load: Load,
         strain: Callable[[Array], Array] | None,
+        shifts: Float[Array, "shifts beads dim"],
     ) -> Motion | None:
-        """Derivative of M F + C:E, found for pairs."""
+        """Derivatives of M F + C:E, found for pairs."""
         strain = strain if self.strained else None
         if load.force is None and load.torque is None and strain is None:
             return None
-        return tensors.rpy_gradient(position, radius, viscosity, rotational, load, strain)
+        return tensors.rpy_gradient(position, radius, viscosity, rotational, load, strain, shifts)

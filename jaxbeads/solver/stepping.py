@@ -15,7 +15,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ..constraint import AbstractChainConstraint
+from ..coordinates import project
 from ..dynamics import rate
 from ..scene import Scene
 from ..state import State
@@ -36,14 +36,6 @@ def explicit_step(scene: Scene) -> Float[Array, ""]:
     stiff forces."""
     steps = [f.explicit_step(scene.chain, scene.viscosity) for f in scene.forces]
     return jnp.min(jnp.stack([jnp.asarray(jnp.inf), *steps]))
-
-
-def project(scene: Scene, state: State) -> State:
-    """Bond lengths restored by the scene's chain constraints."""
-    for constraint in scene.constraints:
-        if isinstance(constraint, AbstractChainConstraint):
-            state = constraint.project(state, scene.chain)
-    return state
 
 
 class Carry(eqx.Module):

@@ -1,0 +1,121 @@
+"""Coordinates of the states near one state, in which chains keep their bond lengths exactly."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .chain import Chain, place
+from .constraint import AbstractChainConstraint
+from .geometry import normals
+from .scene import Scene
+from .state import State, ravel, unravel
+
+
+class Coordinates(eqx.Module):
+    """A chart x -> state with x = 0 at its start; see `coordinates`."""
+
+    start: State
+    """The state at x = 0, its bonds at their lengths."""
+    chain: Chain
+    constraint: AbstractChainConstraint | None
+    direction: Float[Array, "directions dim"] | None
+    """Unit vectors e of the start that make its shape."""
+    anchors: tuple[int | None, ...] = eqx.field(static=True)
+    """The bead by which each fibre is placed; `None`: its centre."""
+
+    @property
+    def origin(self) -> Float[Array, " numbers"]:
+        """x = 0."""
+        return jnp.zeros(sum(self._sizes), self.start.position.dtype)
+
+    def state(self, x: Float[Array, " numbers"]) -> State:
+        """The state at x."""
+        if self.constraint is None or self.direction is None:
+            return unravel(ravel(self.start) + x, self.start)
+        points, turn, rest = self._split(x)
+        quarter = (turn * turn).sum(axis=1, keepdims=True) / 4
+        sideways = jnp.einsum("rn,rnd->rd", turn, normals(self.direction))
+        direction = ((1 - quarter) * self.direction + sideways) / (1 + quarter)
+        weights = self._weights
+        points = weights @ self.start.position + points
+        bonds = self.constraint.bonds(direction, self.chain)
+        position = place(self.chain, bonds, points, weights)
+        if self.constraint.oriented:
+            return State(position, direction)
+        director = self.start.director
+        return State(position, None if director is None else director + rest)
+
+    def rate(
+        self, x: Float[Array, " numbers"], state: State, moving: State
+    ) -> Float[Array, " numbers"]:
+        """dx/dt at x, where the state is `state` and its rate of change `moving`."""
+        if self.constraint is None or self.direction is None:
+            return ravel(moving)
+        constraint, turn = self.constraint, self._split(x)[1]
+        turning = jax.jvp(lambda s: constraint.directions(s, self.chain), (state,), (moving,))[1]
+        quarter = (turn * turn).sum(axis=1, keepdims=True) / 4
+        along = (turning * self.direction).sum(axis=1, keepdims=True)
+        sideways = jnp.einsum("rd,rnd->rn", turning, normals(self.direction))
+        parts = [self._weights @ moving.position, (1 + quarter) * (sideways - turn * along / 2)]
+        if moving.director is not None and not constraint.oriented:
+            parts.append(moving.director)
+        return jnp.concatenate([part.ravel() for part in parts])
+
+    @property
+    def _sizes(self) -> tuple[int, ...]:
+        """How many numbers are points of fibres, turns of directions, directors that are carried."""
+        if self.constraint is None or self.direction is None:
+            return (ravel(self.start).shape[0],)
+        rows, dim = self.direction.shape
+        carried = self.start.director is not None and not self.constraint.oriented
+        rest = self.start.position.size if carried else 0
+        return len(self.chain.fibres) * dim, rows * (dim - 1), rest
+
+    def _split(self, x: Array) -> tuple[Array, Array, Array]:
+        dim = self.start.position.shape[1]
+        points, turn, rest = jnp.split(x, np.cumsum(self._sizes)[:-1])
+        return points.reshape(-1, dim), turn.reshape(-1, dim - 1), rest.reshape(-1, dim)
+
+    @property
+    def _weights(self) -> Float[Array, "fibres beads"]:
+        """Of each bead in the point by which its fibre is placed."""
+        chain = self.chain
+        rows = (chain.fibre_of_bead == np.arange(len(chain.fibres))[:, None]).astype(float)
+        rows /= rows.sum(axis=1, keepdims=True)
+        for row, bead in zip(rows, self.anchors, strict=True):
+            if bead is not None:
+                row[:] = np.arange(chain.beads) == bead
+        return jnp.asarray(rows, self.start.position.dtype)
+
+
+def coordinates(scene: Scene, state: State) -> Coordinates:
+    """Coordinates about a state in which the scene's chain constraint holds exactly.
+
+    A chain is given by one point of each fibre and the unit vectors of its bonds (for `Joint`, of its
+    beads): t = ((1 - |x|^2/4) e + x)/(1 + |x|^2/4), the stereographic map of the vectors x normal to the
+    start's e. The point is a bead whose motion is prescribed, if the fibre has one (the first of
+    several; the others keep their places as well as the time step is accurate), otherwise its centre.
+    Besides holding bond lengths, they are the unknowns in which implicit steps go far: stiff bending
+    is linear in angles, but couples to the tension where beads move on straight lines. Without a chain
+    constraint the coordinates are those of the beads.
+    """
+    anchors: list[int | None] = [None] * len(scene.chain.fibres)
+    for constraint in scene.constraints:
+        if constraint.held is not None:
+            bead = constraint.held % scene.chain.beads
+            fibre = scene.chain.fibre_of_bead[bead]
+            anchors[fibre] = bead if anchors[fibre] is None else anchors[fibre]
+    chained = [c for c in scene.constraints if isinstance(c, AbstractChainConstraint)]
+    if not chained:
+        return Coordinates(state, scene.chain, None, None, tuple(anchors))
+    direction = chained[0].directions(state, scene.chain)
+    chart = Coordinates(state, scene.chain, chained[0], direction, tuple(anchors))
+    return eqx.tree_at(lambda c: c.start, chart, chart.state(chart.origin))
+
+
+def project(scene: Scene, state: State) -> State:
+    """Bond lengths restored by the scene's chain constraint; directions are kept, and the place of each
+    fibre's centre or held bead."""
+    return coordinates(scene, state).start
