@@ -67,18 +67,19 @@ def linearise(t: Time, coordinates: Coordinates, scene: Scene) -> Linearisation:
     system = saddle_point(t, state, scene, operator) if scene.constraints else None
     free = free_motion(t, state, scene, operator)
     held, multipliers = (free, None) if system is None else system.hold(free)
-    moved = _explicit_columns(t, coordinates, scene, operator, multipliers)
+    units = jnp.eye(len(x), dtype=x.dtype)
+    shifts = _columns(coordinates.state, x, units)
+    moved = _explicit_columns(t, state, shifts, scene, operator, multipliers)
     if system is not None:
-        moved = _hold_columns(t, coordinates, scene, system, held, moved)
+        moved = _hold_columns(t, state, shifts, scene, system, held, moved)
 
-    def along(x: Array) -> Array:
-        state = coordinates.state(x)
-        return coordinates.rate(x, state, moving(held, state))
+    def turned(at: tuple[Array, State]) -> Array:
+        return coordinates.rate(*at, moving(held, at[1]))
 
     def still(motion: Motion) -> Array:
         return coordinates.rate(x, state, moving(motion, state))
 
-    columns = jax.vmap(still)(moved) + _columns(along, x)
+    columns = jax.vmap(still)(moved) + _columns(turned, (x, state), (units, shifts))
     drift = jnp.zeros_like(x)
     later = _drift(t, state, scene, operator, system, held)
     if later is not None:
@@ -109,15 +110,15 @@ def _drift(
     return add_motions(free, system.pulled(system.multipliers(slip)))
 
 
-def _columns(function: Callable[[Array], Any], x: Array) -> Any:
-    """Derivatives of a cheap function by each number, as a leading axis."""
-    _, push = jax.linearize(function, x)
-    return jax.vmap(push)(jnp.eye(len(x), dtype=x.dtype))
+def _columns(function: Callable[[Any], Any], at: Any, shifts: Any) -> Any:
+    """Derivatives of a cheap function along shifts, a leading axis."""
+    _, push = jax.linearize(function, at)
+    return jax.vmap(push)(shifts)
 
 
-def _reached(function: Callable[[Array], Any], x: Array) -> list[bool]:
-    """Which of the arrays that a function returns depend on x at all."""
-    program = jax.make_jaxpr(function)(x).jaxpr
+def _reached(function: Callable[[Any], Any], at: Any) -> list[bool]:
+    """Which of the arrays that a function returns depend on its argument at all."""
+    program = jax.make_jaxpr(function)(at).jaxpr
     reached = set(program.invars)
     for step in program.eqns:
         if any(v in reached for v in step.invars if not isinstance(v, Literal)):
@@ -127,15 +128,15 @@ def _reached(function: Callable[[Array], Any], x: Array) -> list[bool]:
 
 def _explicit_columns(
     t: Array,
-    coordinates: Coordinates,
+    state: State,
+    shifts: State,
     scene: Scene,
     operator: MobilityOperator,
     multipliers: Array | None,
 ) -> Motion:
-    """Derivatives of M (F + J^T lambda) + V_inf + C:E with lambda held."""
+    """Derivatives of M (F + J^T lambda) + V_inf + C:E along shifts of the state, with lambda held."""
 
-    def load(x: Array) -> Load:
-        state = coordinates.state(x)
+    def load(state: State) -> Load:
         applied = applied_load(t, state, scene)
         if multipliers is None:
             return applied
@@ -144,44 +145,43 @@ def _explicit_columns(
     def strain(position: Array) -> Array:
         return spin_and_strain(velocity_and_gradient(scene.flow, t, position)[1])[1]
 
-    x, state = coordinates.origin, coordinates.start
-    shifts = _columns(lambda x: coordinates.state(x).position, x)
-    still = zero_motion(state, scene.rotational)
-    moved = jax.tree.map(lambda v: jnp.zeros((len(x), *v.shape), v.dtype), still)
+    still, count = zero_motion(state, scene.rotational), len(shifts.position)
+    moved = jax.tree.map(lambda v: jnp.zeros((count, *v.shape), v.dtype), still)
     interactions = scene.mobility.gradient(
         state.position,
         scene.chain.radius,
         scene.viscosity,
         scene.rotational,
-        load(x),
+        load(state),
         None if scene.flow is None else strain,
-        shifts,
+        shifts.position,
     )
     if interactions is not None:
         moved = add_motions(moved, interactions)
     if scene.flow is not None:
-        moved = add_motions(moved, _columns(lambda x: carried(t, coordinates.state(x), scene), x))
+        moved = add_motions(moved, _columns(lambda s: carried(t, s, scene), state, shifts))
     # Loads that are the same everywhere, as weights, have no columns.
-    parts = {name: part for name, part in vars(load(x)).items() if part is not None}
-    varying = [n for n, r in zip(parts, _reached(load, x), strict=True) if r]
+    parts = {name: part for name, part in vars(load(state)).items() if part is not None}
+    varying = [n for n, r in zip(parts, _reached(load, state), strict=True) if r]
     if varying:
-        loads = _columns(lambda x: {name: getattr(load(x), name) for name in varying}, x)
+        loads = _columns(lambda s: {n: getattr(load(s), n) for n in varying}, state, shifts)
         moved = add_motions(moved, jax.vmap(lambda part: operator.motion(Load(**part)))(loads))
     return moved
 
 
 def _hold_columns(
     t: Array,
-    coordinates: Coordinates,
+    state: State,
+    shifts: State,
     scene: Scene,
     system: SaddlePoint,
     held: Motion,
     moved: Motion,
 ) -> Motion:
     """Derivatives of the motion from those without a change of the multipliers."""
-    j, state = system.constraints, coordinates.start
+    j = system.constraints
     slip = jax.vmap(lambda motion: j.slip(motion) - j.offset)
-    turned = _columns(lambda x: slips(t, coordinates.state(x), scene)(held), coordinates.origin)
+    turned = _columns(lambda s: slips(t, s, scene)(held), state, shifts)
     multipliers = jax.vmap(system.multipliers)(slip(moved) + turned)
 
     def pulled(torque: bool) -> Array:

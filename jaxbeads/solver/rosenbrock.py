@@ -151,14 +151,23 @@ class Rosenbrock(diffrax.AbstractAdaptiveSolver):
 
 def _factorised(matrix: Array) -> Callable[[Array], Array]:
     """Solutions with one LU factor, which derivatives reuse."""
-    factor = jax.scipy.linalg.lu_factor(lax.stop_gradient(matrix))
+    factor, _, order = lax.linalg.lu(lax.stop_gradient(matrix))
+    back = jnp.argsort(order)
 
-    def solve(rhs: Array) -> Array:
-        return lax.custom_linear_solve(
-            lambda x: matrix @ x,
-            rhs,
-            lambda _, b: jax.scipy.linalg.lu_solve(factor, b),
-            lambda _, b: jax.scipy.linalg.lu_solve(factor, b, trans=1),
-        )
+    def triangular(rhs: Array, lower: bool, transposed: bool) -> Array:
+        return lax.linalg.triangular_solve(
+            factor,
+            rhs[:, None],
+            left_side=True,
+            lower=lower,
+            transpose_a=transposed,
+            unit_diagonal=lower,
+        )[:, 0]
 
-    return solve
+    def solve(_: Callable[[Array], Array], rhs: Array) -> Array:
+        return triangular(triangular(rhs[order], True, False), False, False)
+
+    def transpose_solve(_: Callable[[Array], Array], rhs: Array) -> Array:
+        return triangular(triangular(rhs, False, True), True, True)[back]
+
+    return lambda rhs: lax.custom_linear_solve(lambda x: matrix @ x, rhs, solve, transpose_solve)
