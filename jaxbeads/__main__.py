@@ -16,7 +16,7 @@ from .breakdown import SimulationError
 from .observables import curvature
 from .rollout import Solution
 from .scenes import MODELS, SCENES, AbstractModel, Case, ReadyMade, Value
-from .solver import AB3
+from .solver import AB3, Rosenbrock
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -32,9 +32,14 @@ def _parser() -> argparse.ArgumentParser:
             _add_option(sub, option, defaults[option].default, text)
         sub.add_argument(
             "--solver",
-            default="AB3",
             metavar="NAME",
-            help="AB3 (default) or a diffrax solver, as Tsit5 or Kvaerno5, with adaptive steps",
+            help="Rosenbrock, AB3 or a diffrax solver, as Tsit5 (default: what the scene needs)",
+        )
+        sub.add_argument(
+            "--tolerance",
+            type=float,
+            metavar="T",
+            help="largest error of a step over the fibre's length (default 1e-6; not for AB3)",
         )
         sub.add_argument(
             "--out", type=Path, metavar="DIR", help="write pictures, movie, trajectory"
@@ -69,17 +74,17 @@ def _adaptive_solver(name: str) -> diffrax.AbstractSolver | None:
     return solver if solver.term_structure is diffrax.AbstractTerm else None
 
 
-def _solver_options(name: str, case: Case) -> dict[str, Any]:
-    if name.lower() == "ab3":
-        return {"solver": AB3()}
-    solver = _adaptive_solver(name)
+def _solver(name: str | None) -> diffrax.AbstractSolver | None:
+    if name is None:
+        return None
+    own = {"ab3": AB3(), "rosenbrock": Rosenbrock()}
+    solver = own.get(name.lower()) or _adaptive_solver(name)
     if solver is None:
         raise ValueError(
-            "Argument `--solver` must be AB3 or the name of an adaptive diffrax solver (Tsit5, Dopri5, "
-            f"Kvaerno3, Kvaerno5, ...), but it is {name!r}."
+            "Argument `--solver` must be Rosenbrock, AB3 or the name of an adaptive diffrax solver "
+            f"(Tsit5, Dopri5, Kvaerno3, Kvaerno5, ...), but it is {name!r}."
         )
-    tolerance = 1e-7 * float(case.scene.chain.length[0])
-    return {"solver": solver, "controller": diffrax.PIDController(rtol=0.0, atol=tolerance)}
+    return solver
 
 
 def _write(ready: ReadyMade, case: Case, solution: Solution, folder: Path) -> list[Path]:
@@ -118,7 +123,10 @@ def _run(ready: ReadyMade, arguments: argparse.Namespace) -> None:
     if "model" in values:
         values["model"] = MODELS[values["model"]]
     case = ready.build(**values)
-    options: dict[str, Any] = _solver_options(arguments.solver, case)
+    options: dict[str, Any] = {
+        "solver": _solver(arguments.solver),
+        "tolerance": arguments.tolerance,
+    }
     folder: Path | None = arguments.out
     if folder is not None:
         try:

@@ -3,15 +3,14 @@
 from dataclasses import dataclass
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from .constraint import AbstractChainConstraint
 from .dynamics import ambient_motion, redundancy
-from .rollout import Solution, Stepper
+from .rollout import Solution, Stepper, default_solver
 from .scene import Scene
-from .solver import FixedSteps, explicit_step
+from .solver import AdaptiveSteps, FixedSteps, Rosenbrock, explicit_step
 from .solver.stepping import Carry
 from .state import Load, State
 
@@ -80,11 +79,18 @@ def _smallest_gap(scene: Scene, state: State) -> str:
 
 
 def explain(
-    scene: Scene, good: State, t: float, step: int, bad: State | None, advice: str = ""
+    scene: Scene,
+    good: State,
+    t: float,
+    step: int,
+    bad: State | None,
+    advice: str = "",
+    what: str = "the motion is not finite",
 ) -> Cause:
-    """The cause from the last good state, at time t, and what the step from there made of it."""
+    """The cause from the last good state, at time t, and what the step from there made of it (or, if
+    there is no such state, `what` happened)."""
     term, how = guilty_term(t, good, scene)
-    bead, what = None, "the motion is not finite"
+    bead = None
     if bad is not None:
         finite = np.isfinite(np.asarray(bad.position)).all(axis=1)
         error, bond = bond_error(scene, bad)
@@ -111,27 +117,47 @@ def step_advice(scene: Scene, step: float) -> str:
         return f" The time step was {step:.3g}; try more `substeps`."
     return (
         f" The time step was {step:.3g}, {step / limit:.3g} times `solver.explicit_step`, eq. (39) for "
-        "bending (AB3 is stable to about 2.2 times); use more `substeps` or a `controller`."
+        "bending (AB3 is stable to about 2.2 times); use more `substeps`, or `tolerance` instead."
     )
 
 
 _step = eqx.filter_jit(lambda stepper, *args: stepper.step(*args))
 
 
-def locate(
-    stepper: Stepper, scene: Scene, carry: Carry, t0: float, t1: float, bond_tolerance: float
-) -> Cause:
-    """Repeat the interval in which the run broke down, step by step, and say where it does."""
-    good = carry.state
-    if not isinstance(stepper, FixedSteps):
-        bad = jax.tree.map(lambda x: jnp.full_like(x, jnp.nan), good)
-        advice = (
-            " The controller found no step that works: loosen its tolerances, raise `max_steps`, or "
-            "take an implicit solver."
+def _given_up(stepper: AdaptiveSteps, scene: Scene, after: Carry, t0: float, t1: float) -> Cause:
+    """Why adaptive steps did not reach the end of an interval."""
+    last, step = after.memory, float(after.memory.next - after.memory.previous)
+    if int(after.code) == 1:
+        what = (
+            f"{stepper.max_steps} steps from t = {t0:.6g} did not reach the next save time, {t1:.6g} "
+            f"(the last was {step:.2g})"
         )
-        return explain(scene, good, t0, int(carry.steps), bad, advice)
+        advice = " Loosen `tolerance`, raise `max_steps` or save more often."
+        if isinstance(default_solver(scene), Rosenbrock) != isinstance(stepper.solver, Rosenbrock):
+            advice += " The scene is stiff: `Rosenbrock()`, its default solver, takes longer steps."
+    else:
+        what = f"no step, down to {step:.2g}, meets the tolerance with finite numbers"
+        advice = " Loosen `tolerance`, or look at the term named here."
+    return explain(scene, last.state, float(last.previous), int(after.steps), None, advice, what)
+
+
+def locate(
+    stepper: Stepper,
+    scene: Scene,
+    carry: Carry,
+    after: Carry,
+    t0: float,
+    t1: float,
+    bond_tolerance: float,
+) -> Cause:
+    """Why the run broke down in the interval from t0 (`carry`) to t1 (`after`). Equal steps are taken
+    again, one by one, to see where."""
+    if not isinstance(stepper, FixedSteps):
+        if int(after.code) != 0:
+            return _given_up(stepper, scene, after, t0, t1)
+        return explain(scene, carry.state, t0, int(after.steps), after.state)
     h = (t1 - t0) / stepper.substeps
-    start, end = (jnp.asarray(t, good.position.dtype) for t in (t0, t1))
+    start, end = (jnp.asarray(t, carry.state.position.dtype) for t in (t0, t1))
     for index in range(stepper.substeps):
         new = _step(stepper, scene, carry, start, end, jnp.asarray(index))
         error, _ = bond_error(scene, new.state)

@@ -15,6 +15,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from .constraint import AbstractChainConstraint, AbstractConstraint
+from .flow import AbstractFlow
 from .flow.base import spin_and_strain, velocity_and_gradient
 from .geometry import spin_cross
 from .mobility import MobilityOperator
@@ -38,9 +39,9 @@ def applied_load(t: Time, state: State, scene: Scene) -> Load:
     return add_loads(*(force.load(jnp.asarray(t), state, scene.chain) for force in scene.forces))
 
 
-def _flow_at(t: Time, state: State, scene: Scene) -> tuple[Motion, Array]:
+def _fluid(flow: AbstractFlow, t: Time, state: State, scene: Scene) -> tuple[Motion, Array]:
     """Motion of the fluid at the beads and its rate of strain."""
-    velocity, gradient = velocity_and_gradient(scene.flow, jnp.asarray(t), state.position)
+    velocity, gradient = velocity_and_gradient(flow, jnp.asarray(t), state.position)
     spin, strain = spin_and_strain(gradient)
     still = zero_motion(state, scene.rotational).spin
     turned = None if still is None else jnp.broadcast_to(spin, still.shape)
@@ -49,14 +50,16 @@ def _flow_at(t: Time, state: State, scene: Scene) -> tuple[Motion, Array]:
 
 def carried(t: Time, state: State, scene: Scene) -> Motion:
     """V_inf, the motion of the fluid at the beads."""
-    return _flow_at(t, state, scene)[0]
+    if scene.flow is None:
+        return zero_motion(state, scene.rotational)
+    return _fluid(scene.flow, t, state, scene)[0]
 
 
 def ambient_motion(t: Time, state: State, scene: Scene) -> Motion | None:
     """V_inf + C : E, the motion of beads without load; `None` without a flow."""
     if scene.flow is None:
         return None
-    fluid, strain = _flow_at(t, state, scene)
+    fluid, strain = _fluid(scene.flow, t, state, scene)
     position, radius = state.position, scene.chain.radius
     disturbance = scene.mobility.shear_disturbance(position, radius, strain, scene.rotational)
     return fluid if disturbance is None else add_motions(fluid, disturbance)

@@ -22,6 +22,7 @@ from .dynamics import (
     saddle_point,
     slips,
 )
+from .flow import AbstractFlow
 from .flow.base import spin_and_strain, velocity_and_gradient
 from .mobility import MobilityOperator
 from .scene import Scene
@@ -142,9 +143,6 @@ def _explicit_columns(
             return applied
         return add_loads(applied, constraint_map(t, state, scene).pull(multipliers))
 
-    def strain(position: Array) -> Array:
-        return spin_and_strain(velocity_and_gradient(scene.flow, t, position)[1])[1]
-
     still, count = zero_motion(state, scene.rotational), len(shifts.position)
     moved = jax.tree.map(lambda v: jnp.zeros((count, *v.shape), v.dtype), still)
     interactions = scene.mobility.gradient(
@@ -153,7 +151,7 @@ def _explicit_columns(
         scene.viscosity,
         scene.rotational,
         load(state),
-        None if scene.flow is None else strain,
+        None if scene.flow is None else _strain(scene.flow, t),
         shifts.position,
     )
     if interactions is not None:
@@ -167,6 +165,11 @@ def _explicit_columns(
         loads = _columns(lambda s: {n: getattr(load(s), n) for n in varying}, state, shifts)
         moved = add_motions(moved, jax.vmap(lambda part: operator.motion(Load(**part)))(loads))
     return moved
+
+
+def _strain(flow: AbstractFlow, t: Array) -> Callable[[Array], Array]:
+    """The ambient rate of strain at positions."""
+    return lambda position: spin_and_strain(velocity_and_gradient(flow, t, position)[1])[1]
 
 
 def _hold_columns(
@@ -191,7 +194,9 @@ def _hold_columns(
 
     velocity = moved.velocity + pulled(False)
     # Spins matter where they turn directors.
-    spin = moved.spin if state.director is None else moved.spin + pulled(True)
+    spin = moved.spin
+    if spin is not None and state.director is not None:
+        spin = spin + pulled(True)
     return Motion(velocity, spin)
 
 

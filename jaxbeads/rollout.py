@@ -10,17 +10,18 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ._checks import fail, increasing, kind, known, whole
+from ._checks import fail, increasing, kind, known, positive, whole
 from ._typing import float_array
 from .constraint import AbstractChainConstraint
 from .dynamics import constraint_residual
+from .force import AbstractForce
 from .scene import Scene, check
-from .solver import AB3, AdaptiveSteps, FixedSteps
+from .solver import AB3, AdaptiveSteps, FixedSteps, Rosenbrock
 from .solver.stepping import Carry, substeps_for
+from .solver.tolerance import controller_for, default_tolerance
 from .state import State
 
 Stepper = FixedSteps | AdaptiveSteps
-_AB3 = AB3()
 _BOND_TOLERANCE = 0.01
 
 
@@ -67,30 +68,44 @@ class Solution(eqx.Module):
         return "\n".join(lines)
 
 
+def default_solver(scene: Scene) -> diffrax.AbstractSolver:
+    """`Rosenbrock` if a force of the scene is stiff (bounds explicit steps), otherwise `Tsit5`."""
+    stiff = any(type(f).explicit_step is not AbstractForce.explicit_step for f in scene.forces)
+    return Rosenbrock() if stiff else diffrax.Tsit5()
+
+
 def stepper_for(
     scene: Scene,
     ts: Float[Array, " times"],
-    solver: diffrax.AbstractSolver,
+    solver: diffrax.AbstractSolver | None,
     substeps: int | None,
     controller: diffrax.AbstractStepSizeController | None,
-    projected: bool,
+    tolerance: float | None,
+    projected: bool | None,
     max_steps: int,
 ) -> Stepper:
     """The stepper that the arguments of `rollout` and `simulate` mean."""
+    if solver is None:
+        solver = default_solver(scene) if substeps is None else AB3()
     if not isinstance(solver, diffrax.AbstractSolver):
         fail("solver", "be a diffrax solver object, as AB3()", f"it is {solver!r}")
     whole("max_steps", max_steps, 1)
+    if tolerance is not None:
+        controller = _controller(scene, ts, solver, substeps, controller, tolerance)
+    elif substeps is None and controller is None and _adaptive(solver):
+        controller = controller_for(default_tolerance(ts.dtype), scene.chain)
     if controller is not None:
         if substeps is not None:
             fail("substeps", "be None when a controller chooses the steps", f"it is {substeps}")
         kind("controller", controller, diffrax.AbstractStepSizeController)
         if isinstance(solver, AB3):
             fail("controller", "be None for AB3, whose steps are equal", "one is given")
-        if not isinstance(solver, diffrax.AbstractAdaptiveSolver):
+        if not _adaptive(solver):
             fail(
                 "solver", "estimate its error for a controller", f"{type(solver).__name__} does not"
             )
-        return AdaptiveSteps(_with_tolerances(solver, controller), controller, max_steps, projected)
+        project = not isinstance(solver, Rosenbrock) if projected is None else projected
+        return AdaptiveSteps(_with_tolerances(solver, controller), controller, max_steps, project)
     if isinstance(solver, diffrax.AbstractImplicitSolver) and _missing(solver):
         must = "be given with an implicit solver, whose root finder takes its tolerances from it"
         fail("controller", must, "it is None")
@@ -106,7 +121,35 @@ def stepper_for(
             fail("substeps", must, how)
         substeps = substeps_for(scene, ts, None)
     whole("substeps", substeps, 1)
-    return FixedSteps(solver, substeps, projected)
+    return FixedSteps(solver, substeps, bool(projected))
+
+
+def _adaptive(solver: diffrax.AbstractSolver) -> bool:
+    """Whether it estimates its error."""
+    return isinstance(solver, diffrax.AbstractAdaptiveSolver)
+
+
+def _controller(
+    scene: Scene,
+    ts: Float[Array, " times"],
+    solver: diffrax.AbstractSolver,
+    substeps: int | None,
+    controller: diffrax.AbstractStepSizeController | None,
+    tolerance: float,
+) -> diffrax.AbstractStepSizeController:
+    """The controller that a tolerance means; refuses what does not go with it."""
+    if substeps is not None or controller is not None:
+        other = "substeps" if controller is None else "a controller"
+        fail("tolerance", f"be None when {other} is given", f"it is {tolerance!r}")
+    if not _adaptive(solver):
+        must = "be None for a solver that does not estimate its error"
+        fail("tolerance", must, f"{type(solver).__name__} does not")
+    positive("tolerance", tolerance)
+    least = 100 * float(jnp.finfo(ts.dtype).eps)
+    if known(tolerance) and not least <= tolerance <= 0.1:
+        must = f"lie between {least:.1g} (rounding) and 0.1, as a fraction of the fibre's length"
+        fail("tolerance", must, f"it is {tolerance:g}")
+    return controller_for(tolerance, scene.chain)
 
 
 def _missing(solver: diffrax.AbstractImplicitSolver) -> list[str]:
@@ -150,10 +193,11 @@ def rollout(
     state: State,
     ts: Any,
     *,
-    solver: diffrax.AbstractSolver = _AB3,
+    solver: diffrax.AbstractSolver | None = None,
+    tolerance: float | None = None,
     substeps: int | None = None,
     controller: diffrax.AbstractStepSizeController | None = None,
-    projected: bool = False,
+    projected: bool | None = None,
     max_steps: int = 100_000,
     single_precision: bool = False,
 ) -> Solution:
@@ -169,10 +213,14 @@ def rollout(
 
     - `scene`, `state`: the model and where it starts.
     - `ts`: increasing times [time], `(times,)`; for `AB3` evenly spaced.
-    - `solver`: `AB3()` or any `diffrax` solver.
-    - `substeps`: equal steps between two times; by default as many as the paper's step (39) asks for.
-    - `controller`: a `diffrax` step-size controller, to choose the steps instead.
-    - `projected`: restore bond lengths after every step.
+    - `solver`: `Rosenbrock()`, `AB3()` or any `diffrax` solver. By default what the scene needs:
+      `Rosenbrock` if a force is stiff, otherwise `diffrax.Tsit5`; `AB3` if `substeps` is given.
+    - `tolerance`: largest error of a step, as a fraction of the longest fibre's length; by default 1e-6
+      (float32: 1e-4). The error over a path is of the same size where neighbouring paths converge.
+    - `substeps`: equal steps between two times instead. `AB3` without it takes the paper's step (39).
+    - `controller`: a `diffrax` step-size controller instead.
+    - `projected`: restore bond lengths after every step; by default with adaptive steps (`Rosenbrock`
+      keeps them by itself).
     - `max_steps`: bound on steps between two times (with a controller).
     - `single_precision`: confirms that float32 is meant.
 
@@ -181,7 +229,7 @@ def rollout(
     check(scene, state, single_precision=single_precision)
     increasing("ts", ts)
     ts = float_array(ts).astype(state.position.dtype)
-    stepper = stepper_for(scene, ts, solver, substeps, controller, projected, max_steps)
+    stepper = stepper_for(scene, ts, solver, substeps, controller, tolerance, projected, max_steps)
     carry, states = advance(stepper, scene, stepper.init(scene, state, ts[0], ts[1]), ts)
     states = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), state, states)
     errors = bond_errors(scene, lax.stop_gradient(states))

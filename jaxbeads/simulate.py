@@ -24,8 +24,6 @@ from .solver import AB3, FixedSteps, explicit_step
 from .solver.stepping import Carry
 from .state import State
 
-_AB3 = AB3()
-
 RESIDUAL_TOLERANCE = 1e-3
 """Constraint residual from which on the constraints count as violated; rounding leaves 1e-14 in float64
 and 1e-6 in float32."""
@@ -84,10 +82,11 @@ def simulate(
     state: State,
     ts: Any,
     *,
-    solver: diffrax.AbstractSolver = _AB3,
+    solver: diffrax.AbstractSolver | None = None,
+    tolerance: float | None = None,
     substeps: int | None = None,
     controller: diffrax.AbstractStepSizeController | None = None,
-    projected: bool = False,
+    projected: bool | None = None,
     max_steps: int = 100_000,
     bond_tolerance: float = 0.01,
     overlap: bool = True,
@@ -119,7 +118,9 @@ def simulate(
     check(scene, state, overlap=overlap, single_precision=single_precision)
     increasing("ts", ts)
     times = float_array(ts).astype(state.position.dtype)
-    stepper = stepper_for(scene, times, solver, substeps, controller, projected, max_steps)
+    stepper = stepper_for(
+        scene, times, solver, substeps, controller, tolerance, projected, max_steps
+    )
     run = _Run(scene, stepper, times, bond_tolerance, until, chunk, progress)
     error, bond = bond_error(scene, state)
     if error > bond_tolerance:
@@ -146,10 +147,11 @@ def resume(
     file: str | Path,
     scene: Scene,
     *,
-    solver: diffrax.AbstractSolver = _AB3,
+    solver: diffrax.AbstractSolver | None = None,
+    tolerance: float | None = None,
     substeps: int | None = None,
     controller: diffrax.AbstractStepSizeController | None = None,
-    projected: bool = False,
+    projected: bool | None = None,
     max_steps: int = 100_000,
     bond_tolerance: float = 0.01,
     until: Callable[[Solution], bool] | None = None,
@@ -166,7 +168,9 @@ def resume(
     clock = _Clock()
     last = load(file)
     times = planned_times(file)
-    stepper = stepper_for(scene, times, solver, substeps, controller, projected, max_steps)
+    stepper = stepper_for(
+        scene, times, solver, substeps, controller, tolerance, projected, max_steps
+    )
     run = _Run(scene, stepper, times, bond_tolerance, until, chunk, progress)
     compare(file, scene, stepper)
     like = _init(stepper, scene, last.final, times[0], times[1])
@@ -271,8 +275,10 @@ class _Run:
             parts.append(_part(self.scene, jax.device_put(span[1:]), states, carry))
             if self.target is not None:
                 self.target.append(parts[-1], carry)
-        t0, t1 = (float(t) for t in self.ts[done + good : done + good + 2])
-        cause = locate(self.stepper, self.scene, carry, t0, t1, self.bond_tolerance)
+        span = np.asarray(self.ts)[done + good : done + good + 2]
+        after, _ = _advance(self.stepper, self.scene, carry, span)
+        t0, t1 = (float(t) for t in span)
+        cause = locate(self.stepper, self.scene, carry, after, t0, t1, self.bond_tolerance)
         raise SimulationError(cause, _join(parts, "broken down", clock))
 
 

@@ -380,7 +380,10 @@ def rpy_gradient(
             moved.append(_rpy(vector, radius, viscosity, rotational).pairs(load))
         if rate is not None:
             moved.append(_disturbance(vector, radius, rate, rotational))
-        return tuple(sum(parts[1:], start=parts[0]) for parts in zip(*moved, strict=True))
+        first, *others = moved
+        for other in others:
+            first = tuple(a + b for a, b in zip(first, other, strict=True))
+        return first
 
     rate = None if strain is None else strain(position)
     total: list[Array] = []

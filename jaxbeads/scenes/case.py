@@ -16,6 +16,7 @@ from ..dynamics import motion
 from ..rollout import Solution
 from ..scene import Scene
 from ..simulate import simulate
+from ..solver import AB3
 from ..state import State
 
 Value = float | Sequence[float] | bool | None
@@ -30,20 +31,16 @@ class Case(NamedTuple):
     ts: np.ndarray
     """Times to save at [time]."""
     substeps: int | None = None
-    """Equal steps between them; `None`: by eq. (39)."""
+    """Equal steps between them that suit AB3; `None`: by eq. (39)."""
     until: Callable[[Solution], bool] | None = None
     """Ends the run early, as at a steady state."""
     chunk: int | None = None
     """Save times between two checks."""
-    projected: bool = False
-    """Whether bond lengths are restored after every step."""
 
     def simulate(self, **options: Any) -> Solution:
         """Run it with `jaxbeads.simulate`; options as there (they replace the case's own)."""
-        own: dict[str, Any] = {
-            name: getattr(self, name) for name in ("until", "chunk", "projected")
-        }
-        if options.get("controller") is None:
+        own: dict[str, Any] = {"until": self.until, "chunk": self.chunk}
+        if isinstance(options.get("solver"), AB3):
             own["substeps"] = self.substeps
         solution = simulate(self.scene, self.state, self.ts, **{**own, **options})
         if self.until is not None and solution.status == "finished":

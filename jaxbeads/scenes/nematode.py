@@ -59,7 +59,6 @@ def nematode(beads: int = 15, *, radius: float = 1.0, viscosity: float = 1.0) ->
         ts,
         until=until_periodic(tolerance),
         chunk=SAMPLES,
-        projected=True,
     )
 
 
@@ -115,7 +114,7 @@ def nematode_pair(
     scene = Scene(chain, viscosity, constraints=[Gears()], forces=[bending, contact])
     centres = [[0.0, -0.5 * distance * length], [0.0, 0.5 * distance * length]]
     ts = np.linspace(0, 3 / _FREQUENCY, 3 * SAMPLES + 1)
-    return Case(scene, straight(chain, [1.0, 0.0], centres), ts, projected=True)
+    return Case(scene, straight(chain, [1.0, 0.0], centres), ts)
 
 
 def _advance(solution: Solution) -> float:

@@ -62,11 +62,11 @@ def settling(
     )
     state = model.state(chain, perturbation * np.minimum(np.arange(beads) / (beads - 2), 1) ** 2)
     relaxation = viscosity * length**4 / (100 * float(rigidity))  # of the slowest bending mode
-    ts = np.linspace(0, 60 * relaxation, 6001)
+    ts = np.linspace(0, 60 * relaxation, 1201)
     # Eq. (39) knows of bending only: a soft fibre must not fall by more than 0.2 a in a step either.
     speed = weight * beads / float(settling_friction(scene))
     step = min(float(explicit_step(scene)), 0.2 * radius / speed)
-    return Case(scene, state, ts, substeps_for(scene, jnp.asarray(ts), step), _steady, chunk=50)
+    return Case(scene, state, ts, substeps_for(scene, jnp.asarray(ts), step), _steady, chunk=10)
 
 
 def settling_friction(scene: Scene) -> Array:
@@ -77,9 +77,9 @@ def settling_friction(scene: Scene) -> Array:
 
 def _steady(solution: Solution) -> bool:
     """Whether the shape has hardly changed over the time of the slowest bending mode."""
-    if len(solution.ts) < 301:
+    if len(solution.ts) < 61:
         return False
-    position = np.asarray(solution.states.position)[-151:]
+    position = np.asarray(solution.states.position)[-31:]
     shape = position - position.mean(axis=1, keepdims=True)
     length = np.linalg.norm(np.diff(shape[-1], axis=0), axis=1).sum()
     # A stiff fibre deflects little: its shape must settle to a part of its deflection.

@@ -62,7 +62,6 @@ def spiral(
         ts,
         until=until_periodic(tolerance),
         chunk=SAMPLES,
-        projected=True,
     )
 
 

@@ -135,12 +135,13 @@ class Rosenbrock(diffrax.AbstractAdaptiveSolver):
         us = jnp.zeros((6, len(x0)), x0.dtype)
         us = us.at[0].set(solve(_GAMMA * (h * about.rate + _DRIFT[0] * drift)))
         # A loop, so that the rate is compiled once.
-        rows = [np.asarray(x, x0.dtype)[1:] for x in (_square(_A), _square(_C), _ALPHA, _DRIFT)]
-        us, _ = lax.scan(stage, us, (np.arange(1, 6), *rows))
-        x1 = np.asarray(_square(_A)[5], x0.dtype) @ us + us[5]
+        a, c = _square(_A), _square(_C)
+        rows = [jnp.asarray(row[1:], x0.dtype) for row in (a, c, _ALPHA, _DRIFT)]
+        us, _ = lax.scan(stage, us, (jnp.arange(1, 6), *rows))
+        x1 = jnp.asarray(a[5], x0.dtype) @ us + us[5]
         y1, other = chart.state(x1), chart.state(x1 - us[5])
         error = jax.tree.map(lambda a, b: a - b, y1, other)
-        bend = np.asarray(_DENSE, x0.dtype) @ us
+        bend = jnp.asarray(_DENSE, x0.dtype) @ us
         dense = {"coordinates": chart, "x1": x1, "bend": bend}
         return y1, error, dense, None, diffrax.RESULTS.successful
 

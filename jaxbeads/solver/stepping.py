@@ -17,6 +17,7 @@ from jaxtyping import Array, Float, Int
 
 from ..coordinates import project
 from ..dynamics import rate
+from ..geometry import norm
 from ..scene import Scene
 from ..state import State
 
@@ -91,6 +92,15 @@ class FixedSteps(eqx.Module):
         return lax.scan(body, carry, jnp.arange(self.substeps))[0]
 
 
+def _first_step(scene: Scene, state: State, t0: Time, t1: Time) -> Array:
+    """A step in which no bead moves by more than a thousandth of a fibre's length, or to the next save
+    time. The controller takes it from there."""
+    speed = jnp.max(norm(rate(t0, state, scene).position))
+    short = 1e-3 * jnp.max(scene.chain.length) / jnp.where(speed > 0, speed, 1.0)
+    gap = jnp.asarray(t1 - t0)
+    return lax.stop_gradient(jnp.where(speed > 0, jnp.minimum(short, gap), gap))
+
+
 class _Adaptive(eqx.Module):
     previous: Time
     next: Time
@@ -116,8 +126,9 @@ class AdaptiveSteps(eqx.Module):
     def init(self, scene: Scene, state: State, t0: Time, t1: Time) -> Carry:
         """Carry at the first save time t0; t1 is the next."""
         solver, order = self.solver, self.solver.error_order(_TERM)
+        first = _first_step(scene, state, t0, t1)
         end, controller = self.controller.init(
-            _TERM, t0, t1, state, None, scene, solver.func, order
+            _TERM, t0, t1, state, first, scene, solver.func, order
         )
         memory = solver.init(_TERM, t0, end, state, scene)
         jump = jnp.zeros((), bool)
