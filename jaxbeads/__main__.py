@@ -39,7 +39,7 @@ def _parser() -> argparse.ArgumentParser:
             "--tolerance",
             type=float,
             metavar="T",
-            help="largest error of a step over the fibre's length (default 1e-6; not for AB3)",
+            help="largest error of a step over the fibre's length (not for AB3)",
         )
         sub.add_argument(
             "--out", type=Path, metavar="DIR", help="write pictures, movie, trajectory"
@@ -123,10 +123,9 @@ def _run(ready: ReadyMade, arguments: argparse.Namespace) -> None:
     if "model" in values:
         values["model"] = MODELS[values["model"]]
     case = ready.build(**values)
-    options: dict[str, Any] = {
-        "solver": _solver(arguments.solver),
-        "tolerance": arguments.tolerance,
-    }
+    options: dict[str, Any] = {"solver": _solver(arguments.solver)}
+    if arguments.tolerance is not None:
+        options["tolerance"] = arguments.tolerance
     folder: Path | None = arguments.out
     if folder is not None:
         try:

@@ -22,6 +22,7 @@ from .solver.tolerance import controller_for, default_tolerance
 from .state import State
 
 Stepper = FixedSteps | AdaptiveSteps
+Tolerance = Float[Array, ""] | float
 _BOND_TOLERANCE = 0.01
 
 
@@ -80,7 +81,7 @@ def stepper_for(
     solver: diffrax.AbstractSolver | None,
     substeps: int | None,
     controller: diffrax.AbstractStepSizeController | None,
-    tolerance: float | None,
+    tolerance: Tolerance | None,
     projected: bool | None,
     max_steps: int,
 ) -> Stepper:
@@ -135,7 +136,7 @@ def _controller(
     solver: diffrax.AbstractSolver,
     substeps: int | None,
     controller: diffrax.AbstractStepSizeController | None,
-    tolerance: float,
+    tolerance: Tolerance,
 ) -> diffrax.AbstractStepSizeController:
     """The controller that a tolerance means; refuses what does not go with it."""
     if substeps is not None or controller is not None:
@@ -194,7 +195,7 @@ def rollout(
     ts: Any,
     *,
     solver: diffrax.AbstractSolver | None = None,
-    tolerance: float | None = None,
+    tolerance: Tolerance | None = None,
     substeps: int | None = None,
     controller: diffrax.AbstractStepSizeController | None = None,
     projected: bool | None = None,

@@ -18,7 +18,7 @@ from ._typing import float_array
 from .breakdown import SimulationError, bond_error, explain, locate
 from .dynamics import redundancy
 from .files import TrajectoryFile, compare, load, planned_times, reopen
-from .rollout import Solution, Stepper, advance, diagnostics, stepper_for
+from .rollout import Solution, Stepper, Tolerance, advance, diagnostics, stepper_for
 from .scene import Scene, check
 from .solver import AB3, FixedSteps, explicit_step
 from .solver.stepping import Carry
@@ -83,7 +83,7 @@ def simulate(
     ts: Any,
     *,
     solver: diffrax.AbstractSolver | None = None,
-    tolerance: float | None = None,
+    tolerance: Tolerance | None = None,
     substeps: int | None = None,
     controller: diffrax.AbstractStepSizeController | None = None,
     projected: bool | None = None,
@@ -148,7 +148,7 @@ def resume(
     scene: Scene,
     *,
     solver: diffrax.AbstractSolver | None = None,
-    tolerance: float | None = None,
+    tolerance: Tolerance | None = None,
     substeps: int | None = None,
     controller: diffrax.AbstractStepSizeController | None = None,
     projected: bool | None = None,

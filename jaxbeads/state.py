@@ -48,8 +48,8 @@ class Motion(eqx.Module):
     `spin` is `None` in scenes in which no term turns beads.
     """
 
-    velocity: Float[Array, "beads dim"]
-    spin: Float[Array, "beads spins"] | None = None
+    velocity: Float[Array, "*batch beads dim"]
+    spin: Float[Array, "*batch beads spins"] | None = None
 
 
 class Load(eqx.Module):
@@ -58,8 +58,8 @@ class Load(eqx.Module):
     `None` stands for "none at all" and costs nothing.
     """
 
-    force: Float[Array, "beads dim"] | None = None
-    torque: Float[Array, "beads spins"] | None = None
+    force: Float[Array, "*batch beads dim"] | None = None
+    torque: Float[Array, "*batch beads spins"] | None = None
 
 
 def ravel(state: State) -> Float[Array, " numbers"]:

@@ -1,11 +1,10 @@
 """Pair tensors of spheres in Stokes flow: Rotne-Prager-Yamakawa with rotation, and the response to
-strain. Pure functions of positions; viscosity 1 unless said.
-
-Component-major: every field is one `(beads, beads)` array, so that loops run along memory and a
-planar scene holds 6 fields where a spatial one holds 15.
+strain. Pure functions of positions; viscosity 1 unless said. Component-major: every field is one
+`(beads, beads)` array, so that loops run along memory; a planar scene holds 6 fields, a spatial one 15.
 """
 
 from collections.abc import Callable
+from functools import reduce
 from typing import NamedTuple
 
 import equinox as eqx
@@ -364,12 +363,11 @@ def rpy_gradient(
 ) -> Motion:
     """Derivatives of M F + C:E along shifts of the positions, with F held.
 
-    What bead j does to bead i depends on their separation d: differentiated by d for each pair once, a
-    shift s changes it by the sum over j of these fields times s_i - s_j.
+    What bead j does to bead i depends on their separation d; its derivative by d, found for each pair
+    once, is taken times s_i - s_j for a shift s and summed over j.
 
-    **Arguments**: as for `rpy`; forces and torques; the ambient rate of strain as a function of the
-    positions (see `shear_disturbance`) or `None`; shifts [length]. **Returns** motions with a leading
-    axis of shifts.
+    **Arguments**: as for `rpy`; loads; rate of strain as a function of positions (see
+    `shear_disturbance`) or `None`; shifts [length]. **Returns** motions, a leading axis of shifts.
     """
     dim, vectors = position.shape[1], _vectors(position)
     loaded = load.force is not None or load.torque is not None
@@ -380,25 +378,22 @@ def rpy_gradient(
             moved.append(_rpy(vector, radius, viscosity, rotational).pairs(load))
         if rate is not None:
             moved.append(_disturbance(vector, radius, rate, rotational))
-        first, *others = moved
-        for other in others:
-            first = tuple(a + b for a, b in zip(first, other, strict=True))
-        return first
+        return tuple(reduce(jnp.add, parts) for parts in zip(*moved, strict=True))
 
     rate = None if strain is None else strain(position)
-    total: list[Array] = []
-    for c in range(dim):
-        along = [jnp.full_like(d, i == c) for i, d in enumerate(vectors)]
-        slopes = jax.jvp(lambda v: pairs(v, rate), (vectors,), (along,))[1]
-        own = [f.sum(axis=1) for f in slopes]
-        if strain is not None and rate is not None and rate.ndim == 3:
-            # The strain at bead j changes with its place.
-            shift = jnp.zeros_like(position).at[:, c].set(1.0)
-            slope = jax.jvp(strain, (position,), (shift,))[1]
-            others = _disturbance(vectors, radius, slope, rotational)
-            slopes = [f - g for f, g in zip(slopes, others, strict=True)]
-        s = shifts[:, :, c]
-        parts = [s * o - s @ f.T for o, f in zip(own, slopes, strict=True)]
-        total = parts if not total else [a + b for a, b in zip(total, parts, strict=True)]
+    units = jnp.eye(dim, dtype=position.dtype)[:, :, None, None]
+    along = [jnp.broadcast_to(units[:, c], (dim, *d.shape)) for c, d in enumerate(vectors)]
+    slopes = jax.vmap(jax.linearize(lambda v: pairs(v, rate), vectors)[1])(along)
+    own = [f.sum(axis=2) for f in slopes]
+    if strain is not None and rate is not None and rate.ndim == 3:
+        # The strain at bead j changes with its place.
+        shift = jnp.broadcast_to(units[:, None, :, 0, 0], (dim, *position.shape))
+        slope = jax.vmap(jax.linearize(strain, position)[1])(shift)
+        others = jax.vmap(lambda e: _disturbance(vectors, radius, e, rotational))(slope)
+        slopes = [f - g for f, g in zip(slopes, others, strict=True)]
+    total = [
+        jnp.einsum("sic,ci->si", shifts, o) - jnp.einsum("sjc,cij->si", shifts, f)
+        for o, f in zip(own, slopes, strict=True)
+    ]
     velocity = jnp.stack(total[:dim], axis=2)
     return Motion(velocity, jnp.stack(total[dim:], axis=2) if rotational else None)

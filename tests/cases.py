@@ -31,6 +31,7 @@ from jaxbeads.force import (
     Weight,
 )
 from jaxbeads.mobility import RPY, FreeDraining
+from jaxbeads.solver import Rosenbrock
 
 MOBILITIES = [FreeDraining(), RPY(), RPY(strained=False)]
 
@@ -79,6 +80,7 @@ SOLVERS = [
     (diffrax.Euler(), 1),
     (diffrax.Heun(), 2),
     (diffrax.Bosh3(), 3),
+    (Rosenbrock(), 4),
 ]
 
 

@@ -78,8 +78,12 @@ def run(state=START, ts=TIMES, scene=None, **options):
     return simulate(scene or model(), state, ts, progress=False, **options)
 
 
-def run_force(*forces, state=START):
-    return run(state, scene=model(forces=forces))
+def run_force(*forces, state=START, **options):
+    return run(state, scene=model(forces=forces), **options)
+
+
+def paper_step(scene):
+    return rollout(scene, START, TIMES, solver=AB3())
 
 
 def single(tree):
@@ -456,7 +460,7 @@ STEPS = {
         "`ts` must be finite, but it holds nan at index [1]",
     ),
     "uneven times": (
-        lambda: run(ts=[0, 0.1, 0.3]),
+        lambda: run(solver=AB3(), ts=[0, 0.1, 0.3]),
         "`ts` must be evenly spaced for AB3, whose steps are equal, but its intervals range from 0.1",
     ),
     "no substeps": (lambda: run(substeps=0), "`substeps` must be at least 1, but it is 0"),
@@ -470,8 +474,25 @@ STEPS = {
         "`substeps` must be None when a controller chooses the steps, but it is 3",
     ),
     "controller for AB3": (
-        lambda: rollout(model(), START, TIMES, controller=PID),
+        lambda: rollout(model(), START, TIMES, solver=AB3(), controller=PID),
         "`controller` must be None for AB3, whose steps are equal, but one is given",
+    ),
+    "tolerance and substeps": (
+        lambda: run(tolerance=1e-5, substeps=3),
+        "`tolerance` must be None when substeps is given, but it is 1e-05",
+    ),
+    "tolerance and controller": (
+        lambda: run(tolerance=1e-5, controller=PID),
+        "`tolerance` must be None when a controller is given, but it is 1e-05",
+    ),
+    "tolerance for AB3": (
+        lambda: run(solver=AB3(), tolerance=1e-5),
+        "`tolerance` must be None for a solver that does not estimate its error, but AB3 does not",
+    ),
+    "negative tolerance": (lambda: run(tolerance=-1e-5), "`tolerance` must be positive"),
+    "tolerance below rounding": (
+        lambda: run(tolerance=1e-15),
+        "`tolerance` must lie between 2e-14 (rounding) and 0.1, as a fraction of the fibre's length",
     ),
     "name as solver": (
         lambda: run(solver="AB3"),
@@ -483,11 +504,11 @@ STEPS = {
     ),
     "no max_steps": (lambda: run(max_steps=0), "`max_steps` must be at least 1, but it is 0"),
     "nothing to take a step from": (
-        lambda: run_force(Weight([0, 1])),
+        lambda: run_force(Weight([0, 1]), solver=AB3()),
         "`substeps` must be given, but it is None and the scene has no bending rigidity",
     ),
     "substeps from a traced scene": (
-        lambda: jax.eval_shape(lambda mu: rollout(model(viscosity=mu), START, TIMES), 1.0),
+        lambda: jax.eval_shape(lambda mu: paper_step(model(viscosity=mu)), 1.0),
         "`substeps` must be given when the scene or the times are traced, but it is None",
     ),
 }
@@ -715,11 +736,20 @@ def test_a_file_of_another_run_is_not_continued(terms, options, says, written, t
     [
         (
             "jeffery --beads 4 --solver nonsense",
-            "`--solver` must be AB3 or .* but it is 'nonsense'",
+            "`--solver` must be Rosenbrock, AB3 or .* but it is 'nonsense'",
         ),
-        ("jeffery --beads 4 --solver Euler", "`--solver` must be AB3 or the name of an adaptive"),
-        ("jeffery --beads 4 --solver HalfSolver", "`--solver` must be AB3 or .* 'HalfSolver'"),
-        ("jeffery --beads 4 --solver KenCarp4", "`--solver` must be AB3 or .* 'KenCarp4'"),
+        (
+            "jeffery --beads 4 --solver Euler",
+            "`--solver` must be Rosenbrock, AB3 or the name",
+        ),
+        (
+            "jeffery --beads 4 --solver HalfSolver",
+            "`--solver` must be Rosenbrock, .* 'HalfSolver'",
+        ),
+        (
+            "jeffery --beads 4 --solver KenCarp4",
+            "`--solver` must be Rosenbrock, AB3 or .* 'KenCarp4'",
+        ),
         (
             "jeffery --beads 4 --out text",
             "`--out` must be a folder .*, but text is not: File exists",

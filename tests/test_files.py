@@ -30,7 +30,7 @@ ADAPTIVE = {
     "controller": diffrax.PIDController(rtol=0.0, atol=1e-7),
 }
 OPTIONS = [{"solver": solver, "substeps": 7} for solver, _ in SOLVERS]
-OPTIONS += [{"solver": AB3(), "substeps": 1}, {"substeps": 7, "projected": True}, ADAPTIVE]
+OPTIONS += [{"solver": AB3(), "substeps": 1}, {"substeps": 7, "projected": True}, ADAPTIVE, {}]
 
 
 def bits(solution):
@@ -161,7 +161,7 @@ def test_a_controller_that_finds_no_step_is_named():
     def cliff(t, x):
         return jnp.where(t > 1.0, 1e3 * jnp.sign(jnp.sin(1e9 * t)), 0.0) * x
 
-    with pytest.raises(SimulationError, match="controller found no step"):
+    with pytest.raises(SimulationError, match=r"60 steps from t = .* did not reach"):
         simulate(
             model(ForceField(cliff)), bent(CHAIN), TIMES, progress=False, max_steps=60, **ADAPTIVE
         )

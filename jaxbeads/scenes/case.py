@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -32,6 +33,8 @@ class Case(NamedTuple):
     """Times to save at [time]."""
     substeps: int | None = None
     """Equal steps between them that suit AB3; `None`: by eq. (39)."""
+    tolerance: float = 1e-6
+    """Largest error of a step over the fibre's length, for solvers that estimate it."""
     until: Callable[[Solution], bool] | None = None
     """Ends the run early, as at a steady state."""
     chunk: int | None = None
@@ -40,8 +43,12 @@ class Case(NamedTuple):
     def simulate(self, **options: Any) -> Solution:
         """Run it with `jaxbeads.simulate`; options as there (they replace the case's own)."""
         own: dict[str, Any] = {"until": self.until, "chunk": self.chunk}
-        if isinstance(options.get("solver"), AB3):
+        solver = options.get("solver")
+        if isinstance(solver, AB3):
             own["substeps"] = self.substeps
+        elif solver is None or isinstance(solver, diffrax.AbstractAdaptiveSolver):
+            if options.get("substeps") is None and options.get("controller") is None:
+                own["tolerance"] = self.tolerance
         solution = simulate(self.scene, self.state, self.ts, **{**own, **options})
         if self.until is not None and solution.status == "finished":
             warnings.warn(

@@ -46,7 +46,7 @@ def jeffery(
     span = 0.75 * float(jeffery_period(cox_aspect_ratio(beads), shear_rate))
     saves = 20 * int(np.ceil(span * shear_rate / 0.05 / 20))
     ts = np.linspace(0, span, saves + 1)
-    return Case(scene, model.state(chain, np.full(beads, np.pi / 2)), ts, substeps=5)
+    return Case(scene, model.state(chain, np.full(beads, np.pi / 2)), ts, 5, 1e-7)
 
 
 def _observables(case: Case, solution: Solution) -> dict[str, Value]:

@@ -66,7 +66,9 @@ def settling(
     # Eq. (39) knows of bending only: a soft fibre must not fall by more than 0.2 a in a step either.
     speed = weight * beads / float(settling_friction(scene))
     step = min(float(explicit_step(scene)), 0.2 * radius / speed)
-    return Case(scene, state, ts, substeps_for(scene, jnp.asarray(ts), step), _steady, chunk=10)
+    return Case(
+        scene, state, ts, substeps_for(scene, jnp.asarray(ts), step), until=_steady, chunk=10
+    )
 
 
 def settling_friction(scene: Scene) -> Array:

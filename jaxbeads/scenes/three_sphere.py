@@ -56,7 +56,7 @@ def three_sphere(
     first, second = (float(x) for x in arms(jnp.zeros(())))
     x = np.cumsum([0.0, first, second])
     state = State(jnp.asarray(np.stack([x - x.mean(), np.zeros(3)], axis=1)))
-    return Case(scene, state, np.linspace(0, 1, SAMPLES + 1), substeps=50)
+    return Case(scene, state, np.linspace(0, 1, SAMPLES + 1), 50, 1e-7)
 
 
 def _centre(solution: Solution) -> np.ndarray:

@@ -125,6 +125,8 @@ class AdaptiveSteps(eqx.Module):
 
     def init(self, scene: Scene, state: State, t0: Time, t1: Time) -> Carry:
         """Carry at the first save time t0; t1 is the next."""
+        if self.projected:
+            state = project(scene, state)
         solver, order = self.solver, self.solver.error_order(_TERM)
         first = _first_step(scene, state, t0, t1)
         end, controller = self.controller.init(

@@ -27,7 +27,7 @@ class LargestError(eqx.Module):
         return jnp.maximum(worst, self.arm * jnp.max(norm(error.director)))
 
 
-def controller_for(tolerance: float, chain: Chain) -> diffrax.PIDController:
+def controller_for(tolerance: Float[Array, ""] | float, chain: Chain) -> diffrax.PIDController:
     """Steps whose estimated error is at most `tolerance` times the longest fibre's length."""
     length = jnp.max(chain.length)
     return diffrax.PIDController(rtol=0.0, atol=tolerance * length, norm=LargestError(length))
