@@ -30,6 +30,9 @@ from .scene import check as check
 from .simulate import resume as resume
 from .simulate import simulate as simulate
 from .solver import AB3 as AB3
+from .solver import Rosenbrock as Rosenbrock
 from .state import Load as Load
 from .state import Motion as Motion
 from .state import State as State
+from .steady import SteadyState as SteadyState
+from .steady import steady_state as steady_state

@@ -28,7 +28,7 @@ class Coordinates(eqx.Module):
     @property
     def origin(self) -> Float[Array, " numbers"]:
         """x = 0."""
-        return jnp.zeros(sum(self._sizes), self.start.position.dtype)
+        return jnp.zeros(sum(self.sizes), self.start.position.dtype)
 
     def state(self, x: Float[Array, " numbers"]) -> State:
         """The state at x."""
@@ -64,7 +64,7 @@ class Coordinates(eqx.Module):
         return jnp.concatenate([part.ravel() for part in parts])
 
     @property
-    def _sizes(self) -> tuple[int, ...]:
+    def sizes(self) -> tuple[int, ...]:
         """How many numbers are points of fibres, turns of directions, directors that are carried."""
         if self.constraint is None or self.direction is None:
             return (ravel(self.start).shape[0],)
@@ -75,7 +75,7 @@ class Coordinates(eqx.Module):
 
     def _split(self, x: Array) -> tuple[Array, Array, Array]:
         dim = self.start.position.shape[1]
-        points, turn, rest = jnp.split(x, np.cumsum(self._sizes)[:-1])
+        points, turn, rest = jnp.split(x, np.cumsum(self.sizes)[:-1])
         return points.reshape(-1, dim), turn.reshape(-1, dim - 1), rest.reshape(-1, dim)
 
     @property

@@ -21,7 +21,7 @@ ORDER = [
     {"scene"},
     {"coordinates", "dynamics"},
     {"linearise", "observables"},
-    {"solver"},
+    {"solver", "steady"},
     {"rollout"},
     {"breakdown", "files"},
     {"simulate"},

@@ -44,11 +44,11 @@ class Case(NamedTuple):
         """Run it with `jaxbeads.simulate`; options as there (they replace the case's own)."""
         own: dict[str, Any] = {"until": self.until, "chunk": self.chunk}
         solver = options.get("solver")
+        adaptive = solver is None or isinstance(solver, diffrax.AbstractAdaptiveSolver)
         if isinstance(solver, AB3):
             own["substeps"] = self.substeps
-        elif solver is None or isinstance(solver, diffrax.AbstractAdaptiveSolver):
-            if options.get("substeps") is None and options.get("controller") is None:
-                own["tolerance"] = self.tolerance
+        elif adaptive and options.get("substeps") is None and options.get("controller") is None:
+            own["tolerance"] = self.tolerance
         solution = simulate(self.scene, self.state, self.ts, **{**own, **options})
         if self.until is not None and solution.status == "finished":
             warnings.warn(

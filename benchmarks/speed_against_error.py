@@ -1,0 +1,289 @@
+"""Time against error: the linearly implicit solver beside explicit and general implicit ones.
+
+    python benchmarks/speed_against_error.py [--quick] [--json] [--plot FILE]
+
+Each scene is run over the same path with each solver, compiled beforehand; times are medians of three
+runs or more in one process. Settling fibres fall for t = 20 L/V_s (V_s: speed of the rigid straight fibre),
+nematodes and beating filaments go three periods, sheared fibres through their first tumble.
+
+- error: largest distance of a bead, at any of 41 times, from the reference, over L. The reference is
+  `Rosenbrock` with tolerance 1e-9; `converged` is how far that with 1e-8 is from it, and AB3, where it runs
+  the whole path, is an independent check of it.
+- AB3 (39): the paper's step; AB3 limit: its largest stable multiple of it among 2.2, 2.1, ... Where that
+  takes more than 40 000 steps (quick: 10 000), the time is measured over the first part of the path and
+  scaled to the whole; such lines are marked * and have no error.
+- evaluations: of the velocity; a step of `Rosenbrock` has 6, and one linearisation, each.
+- ratio: time of AB3 over that of `Rosenbrock` with the loosest tolerance whose error is at most 1e-4.
+"""
+
+import argparse
+import json
+import statistics
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import diffrax
+import jax
+import numpy as np
+
+import jaxbeads as jb
+from jaxbeads import scenes
+from jaxbeads.rollout import diagnostics
+
+jax.config.update("jax_enable_x64", True)
+
+SAVES = 41
+TARGET = 1e-4
+
+
+class Path(NamedTuple):
+    """A scene, its start, its last time, and the time unit of its steps for AB3 (39)."""
+
+    case: scenes.Case
+    end: float
+
+    @property
+    def length(self) -> float:
+        return float(self.case.scene.chain.length[0])
+
+    @property
+    def times(self) -> np.ndarray:
+        return np.linspace(0.0, self.end, SAVES)
+
+
+class Row(NamedTuple):
+    solver: str
+    steps: int
+    evaluations: int | None
+    wall_s: float
+    compile_s: float
+    error: float | None = None
+    bond: float | None = None
+    residual: float | None = None
+
+
+def settling(beads: int, number: float, model: Any = scenes.GEARS) -> Path:
+    case = scenes.settling(beads, number, model)
+    speed = beads / float(scenes.settling_friction(case.scene))  # beads of weight 1
+    return Path(case, 20 * float(case.scene.chain.length[0]) / speed)
+
+
+def shear(beads: int, ratio: float) -> Path:
+    case = scenes.shear(beads, ratio)
+    return Path(case, float(case.ts[-1]))
+
+
+def nematode(beads: int) -> Path:
+    return Path(scenes.nematode(beads), 3.0)
+
+
+def beating(beads: int) -> Path:
+    return Path(scenes.planar_beating(beads), 3 * 2 * np.pi)
+
+
+QUICK: dict[str, Callable[[], Path]] = {
+    "settling-34-1000": lambda: settling(34, 1e3),
+    "settling-34-10": lambda: settling(34, 10.0),
+    "nematode-15": lambda: nematode(15),
+}
+ALL = QUICK | {
+    "settling-34-10000": lambda: settling(34, 1e4),
+    "settling-20-1000": lambda: settling(20, 1e3),
+    "settling-100-1000": lambda: settling(100, 1e3),
+    "settling-31-1000-joint": lambda: settling(31, 1e3, scenes.JOINT),
+    "shear-35-0.01": lambda: shear(35, 0.01),
+    "shear-35-0.04": lambda: shear(35, 0.04),
+    "beating-20": lambda: beating(20),
+}
+
+
+def timed(function: Any, *arguments: Any, runs: int) -> tuple[float, Any]:
+    """Median seconds of a call, and what it returns."""
+    seconds, result = [], None
+    for _ in range(runs):
+        start = time.perf_counter()
+        result = jax.block_until_ready(function(*arguments))
+        seconds.append(time.perf_counter() - start)
+    return statistics.median(seconds), result
+
+
+def compiled(function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
+    start = time.perf_counter()
+    program = jax.jit(function).lower(*arguments).compile()
+    return program, time.perf_counter() - start
+
+
+def distance(path: Path, states: jb.State, reference: jb.State) -> float:
+    apart = np.asarray(states.position) - np.asarray(reference.position)
+    return float(np.linalg.norm(apart, axis=-1).max()) / path.length
+
+
+def checked(path: Path, row: Row, run: jb.Solution, reference: jb.State) -> Row:
+    """With its errors."""
+    residual, bond = jax.jit(diagnostics)(path.case.scene, run.ts, run.states)
+    error = distance(path, run.states, reference)
+    return row._replace(error=error, bond=float(bond.max()), residual=float(residual.max()))
+
+
+def adaptive(
+    path: Path, solver: diffrax.AbstractAdaptiveSolver, tolerances: tuple[float, ...]
+) -> tuple[list[tuple[Row, jb.Solution]], float]:
+    """Runs of a solver with several tolerances, one compiled program for all."""
+    case = path.case
+
+    def run(scene: jb.Scene, state: jb.State, ts: Any, tolerance: Any) -> jb.Solution:
+        return jb.rollout(scene, state, ts, solver=solver, tolerance=tolerance, max_steps=20_000)
+
+    first = (case.scene, case.state, path.times)
+    program, compiling = compiled(run, *first, tolerances[0])
+    per_step = {"Rosenbrock": 6, "Tsit5": 6}.get(type(solver).__name__)
+    rows = []
+    for tolerance in tolerances:
+        wall, solution = timed(program, *first, tolerance, runs=5 if per_step == 6 else 3)
+        if int(solution.code) != 0:
+            continue
+        steps = int(solution.steps)
+        name = f"{type(solver).__name__} {tolerance:.0e}"
+        count = None if per_step is None else per_step * steps
+        rows.append((Row(name, steps, count, wall, compiling), solution))
+    return rows, compiling
+
+
+def ab3(path: Path, multiple: float, most: int) -> tuple[Row, jb.Solution | None]:
+    """AB3 with a multiple of the step (39); `None` if it has not gone the whole path."""
+    case = path.case
+    step = multiple * float(jb.solver.explicit_step(case.scene))
+    substeps = int(np.ceil(path.end / (SAVES - 1) / step * (1 - 1e-9)))
+    steps = substeps * (SAVES - 1)
+    whole = steps <= most
+    ts = path.times if whole else np.linspace(0.0, path.end * most / steps, 3)
+    count = substeps if whole else most // 2
+
+    def run(scene: jb.Scene, state: jb.State, ts: Any) -> jb.Solution:
+        return jb.rollout(scene, state, ts, solver=jb.AB3(), substeps=count)
+
+    program, compiling = compiled(run, case.scene, case.state, ts)
+    wall, solution = timed(program, case.scene, case.state, ts, runs=3)
+    if int(solution.code) != 0:
+        wall = np.nan
+    wall *= steps / int(solution.steps)
+    row = Row(f"AB3 {multiple:.2g} x (39)", steps, steps, wall, compiling)
+    if not whole:
+        return row._replace(solver=row.solver + " *"), None
+    return row, solution
+
+
+def ab3_at_its_limit(path: Path, most: int) -> tuple[Row, jb.Solution | None]:
+    for multiple in (2.2, 2.1, 2.0, 1.8, 1.5, 1.2):
+        row, solution = ab3(path, multiple, most)
+        if np.isfinite(row.wall_s):
+            return row, solution
+    return ab3(path, 1.0, most)
+
+
+def measure(path: Path, quick: bool) -> tuple[list[Row], dict[str, float]]:
+    """All rows of a scene and its figures."""
+    most = 10_000 if quick else 40_000
+    tolerances = (1e-3, 1e-4, 1e-5, 1e-6) if quick else (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
+    own, _ = adaptive(path, jb.solver.Rosenbrock(), (*tolerances, 1e-8, 1e-9))
+    reference = own[-1][1].states
+    rows = [checked(path, *run, reference) for run in own[:-1]]
+    best = next(row for row in rows if row.error is not None and row.error <= TARGET)
+    paper, limit = ab3(path, 1.0, most), ab3_at_its_limit(path, most)
+    others = [paper, limit]
+    if not quick:
+        # Their times are those of whole paths: explicit ones only where they end within 20 000 steps.
+        others += adaptive(path, diffrax.Tsit5(), (1e-4, 1e-6))[0]
+        others += adaptive(path, diffrax.Kvaerno5(), (1e-4, 1e-6))[0]
+    rows += [row if run is None else checked(path, row, run, reference) for row, run in others]
+    figures = {
+        "ratio": paper[0].wall_s / best.wall_s,
+        "ratio_limit": limit[0].wall_s / best.wall_s,
+        "error": best.error,
+        "wall_s": best.wall_s,
+        "converged": rows[len(own) - 2].error,
+    }
+    return rows, {name: float(value) for name, value in figures.items() if value is not None}
+
+
+def text(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
+
+
+def draw(results: dict[str, list[Row]], file: str) -> None:
+    """Work-precision plot: one panel for each scene."""
+    import matplotlib.pyplot as plt
+
+    across = min(len(results), 5)
+    down = -(-len(results) // across)
+    figure, axes = plt.subplots(
+        down, across, figsize=(3.2 * across, 2.9 * down), squeeze=False, layout="constrained"
+    )
+    for panel in axes.flat[len(results) :]:
+        panel.set_axis_off()
+    for panel, (name, rows) in zip(axes.flat, results.items(), strict=False):
+        for family, marker in (("Rosenbrock", "o-"), ("Tsit5", "s-"), ("Kvaerno5", "^-")):
+            mine = [r for r in rows if r.solver.startswith(family) and r.error]
+            if mine:
+                panel.loglog(
+                    [r.error for r in mine], [r.wall_s for r in mine], marker, label=family
+                )
+        for row in rows:
+            if row.solver.startswith("AB3"):
+                color = "0.2" if "1 x" in row.solver else "0.6"
+                panel.axhline(row.wall_s, color=color, ls="--", label=row.solver.rstrip(" *"))
+        panel.set_title(name, fontsize=9)
+        panel.set_xlabel("error over $L$")
+    axes[0, 0].set_ylabel("wall time [s]")
+    axes[0, 0].legend(fontsize=6)
+    figure.savefig(file, dpi=130)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="three scenes, in under 3 minutes")
+    parser.add_argument("--json", action="store_true", help="one JSON object as the last line")
+    parser.add_argument("--plot", metavar="FILE", help="write a work-precision plot")
+    parser.add_argument("--only", metavar="SCENE", help="one scene")
+    arguments = parser.parse_args()
+    chosen = QUICK if arguments.quick else ALL
+    if arguments.only:
+        chosen = {arguments.only: ALL[arguments.only]}
+    figures, results = {}, {}
+    for name, build in chosen.items():
+        rows, figures[name] = measure(build(), arguments.quick)
+        results[name] = rows
+        found = figures[name]
+        print(f"\n{name}: reference converged to {found['converged']:.1e} L")
+        head = (
+            "solver",
+            "steps",
+            "evaluations",
+            "wall [s]",
+            "compile",
+            "error/L",
+            "bonds",
+            "residual",
+        )
+        print(("{:<20}{:>10}{:>12}{:>11}" + "{:>9}" * 4).format(*head))
+        for row in rows:
+            parts = (
+                f"{row.solver:<20}{row.steps:>10}{text(row.evaluations, 'd'):>12}{row.wall_s:>11.4g}"
+                f"{row.compile_s:>9.1f}{text(row.error, '.1e'):>9}{text(row.bond, '.1e'):>9}"
+                f"{text(row.residual, '.1e'):>9}"
+            )
+            print(parts)
+        print(
+            f"time of AB3 over that of Rosenbrock with error {found['error']:.1e}: "
+            f"{found['ratio']:.4g} at (39), {found['ratio_limit']:.4g} at its limit",
+            flush=True,
+        )
+    if arguments.plot:
+        draw(results, arguments.plot)
+    if arguments.json:
+        print(json.dumps(figures))
+
+
+if __name__ == "__main__":
+    main()
