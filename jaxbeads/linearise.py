@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 from jax.extend.core import Literal
 from jaxtyping import Array, Float
 
@@ -49,7 +50,9 @@ def coordinate_rate(
     return coordinates.rate(x, state, rate(t, state, scene))
 
 
-def linearise(t: Time, coordinates: Coordinates, scene: Scene) -> Linearisation:
+def linearise(
+    t: Time, coordinates: Coordinates, scene: Scene, *, frozen: bool = False
+) -> Linearisation:
     """The rate of the coordinates at x = 0 with its exact derivatives.
 
     The saddle-point system is differentiated, not its solution: with multipliers and motion held,
@@ -60,18 +63,43 @@ def linearise(t: Time, coordinates: Coordinates, scene: Scene) -> Linearisation:
     is found for pairs (`AbstractMobility.gradient`): O(N^2) operations for each set of columns, and
     O(N^3) in matrix products only.
 
-    **Arguments**: time; coordinates about the state; scene. **Returns** a `Linearisation`; NaN as for
-    `dynamics.evaluate`.
+    **Arguments**: time; coordinates about the state; scene; `frozen`: whether the Jacobian counts as a
+    constant where the result is differentiated (the derivatives of all its columns are dear). **Returns**
+    a `Linearisation`; NaN as for `dynamics.evaluate`.
     """
-    t, x, state = jnp.asarray(t), coordinates.origin, coordinates.start
+    t, state = jnp.asarray(t), coordinates.start
     operator = mobility_operator(state, scene)
     system = saddle_point(t, state, scene, operator) if scene.constraints else None
     free = free_motion(t, state, scene, operator)
     held, multipliers = (free, None) if system is None else system.hold(free)
+
+    def still(motion: Motion) -> Array:
+        return coordinates.rate(coordinates.origin, state, moving(motion, state))
+
+    later = _drift(t, state, scene, operator, system, held)
+    drift = jnp.zeros_like(coordinates.origin) if later is None else still(later)
+    factor = None if system is None else (system.factor, system.regular)
+    instant = t, coordinates, scene, operator, factor, held, multipliers
+    jacobian = _jacobian(*(lax.stop_gradient(instant) if frozen else instant))
+    return Linearisation(still(held), drift, jacobian)
+
+
+def _jacobian(
+    t: Array,
+    coordinates: Coordinates,
+    scene: Scene,
+    operator: MobilityOperator,
+    factor: tuple[Array, Array] | None,
+    held: Motion,
+    multipliers: Array | None,
+) -> Float[Array, "numbers numbers"]:
+    """df/dx from the solution of one instant."""
+    x, state = coordinates.origin, coordinates.start
     units = jnp.eye(len(x), dtype=x.dtype)
     shifts = _columns(coordinates.state, x, units)
     moved = _explicit_columns(t, state, shifts, scene, operator, multipliers)
-    if system is not None:
+    if factor is not None:
+        system = SaddlePoint(operator, constraint_map(t, state, scene), *factor)
         moved = _hold_columns(t, state, shifts, scene, system, held, moved)
 
     def turned(at: tuple[Array, State]) -> Array:
@@ -81,11 +109,7 @@ def linearise(t: Time, coordinates: Coordinates, scene: Scene) -> Linearisation:
         return coordinates.rate(x, state, moving(motion, state))
 
     columns = jax.vmap(still)(moved) + _columns(turned, (x, state), (units, shifts))
-    drift = jnp.zeros_like(x)
-    later = _drift(t, state, scene, operator, system, held)
-    if later is not None:
-        drift = still(later)
-    return Linearisation(still(held), drift, columns.T)
+    return columns.T
 
 
 def _drift(

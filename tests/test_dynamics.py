@@ -96,7 +96,7 @@ def test_direct_assembly_equals_assembly_by_columns(dim, fibres):
     state = bent(chain, dim)
     model = scene(chain, dim)
     operator = RPY().operator(state.position, chain.radius, model.viscosity, True)
-    parts = dynamics._constraints(0.0, state, model)
+    parts = dynamics.constraint_map(0.0, state, model)
     rows = dim * 7
     columns = np.stack([parts.compliance(operator, jnp.asarray(u)) for u in np.eye(rows)], axis=1)
     direct = np.asarray(dynamics.constraint_matrix(0.0, state, model))
@@ -338,7 +338,7 @@ def test_a_scene_pays_only_for_what_it_models():
         torque = bending.load(t, state, held.chain).torque
         load = Load(weight.load(t, state, held.chain).force, torque)
         free = operator.motion(load)
-        parts = dynamics._constraints(0.0, state, held)
+        parts = dynamics.constraint_map(0.0, state, held)
         matrix = Gears().assemble(t, state, operator, held.chain)
         factor = jax.lax.linalg.cholesky(matrix, symmetrize_input=False)
         pivot = jnp.diagonal(factor) ** 2 / jnp.diagonal(matrix)  # nor without this guard

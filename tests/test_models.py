@@ -66,7 +66,7 @@ def test_chains_with_gaps_match_dense_elimination(constraint, radius, dim):
         < 1e-12 * np.abs(reference).max()
     )
     # S by its own assembly against S by columns.
-    parts = dynamics._constraints(0.0, state, scene)
+    parts = dynamics.constraint_map(0.0, state, scene)
     operator = RPY().operator(state.position, chain.radius, scene.viscosity, True)
     units = np.eye(parts.offset.shape[0])
     columns = np.stack([parts.compliance(operator, jnp.asarray(u)) for u in units], axis=1)

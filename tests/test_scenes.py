@@ -314,7 +314,7 @@ def test_scallop_theorem():
     scene = Scene(case.scene.chain, 1.0, constraints=[PrescribedLengths(arms)])
     first = State([[-14.0, 0.0], [0.0, 0.0], [11.0, 0.0]])
     case = case._replace(scene=scene, state=first)
-    run = case.simulate(progress=False, solver=diffrax.Dopri8())
+    run = case.simulate(progress=False, solver=diffrax.Dopri8(), tolerance=1e-12)
     x = np.asarray(run.states.position)
     assert np.abs(x[20] - x[0]).max() > 1
     assert np.abs(x[-1] - x[0]).max() < 1e-10

@@ -31,7 +31,14 @@ def _case(scene: Scene, state: State, amplitude: float) -> Case:
     period = 2 * np.pi / _FREQUENCY
     ts = np.linspace(0, _MOST_PERIODS * period, _MOST_PERIODS * SAMPLES + 1)
     tolerance = 2e-5 * amplitude * float(scene.chain.length[0])
-    return Case(scene, state, ts, until=until_periodic(tolerance), chunk=SAMPLES)
+    return Case(
+        scene,
+        state,
+        ts,
+        tolerance=2e-6 * amplitude,  # a tenth of what counts as periodic
+        until=until_periodic(tolerance),
+        chunk=SAMPLES,
+    )
 
 
 def planar_beating(

@@ -57,6 +57,7 @@ def nematode(beads: int = 15, *, radius: float = 1.0, viscosity: float = 1.0) ->
         scene,
         straight(chain, [1.0, 0.0]),
         ts,
+        tolerance=1e-7,  # a tenth of what counts as periodic
         until=until_periodic(tolerance),
         chunk=SAMPLES,
     )

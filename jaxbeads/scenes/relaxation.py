@@ -47,8 +47,7 @@ def relaxation(
     rise = amplitude * float(chain.length[0]) * np.diff(shape) / np.asarray(chain.bond_length)
     state = State(from_tangents(chain, np.stack([np.sqrt(1 - rise**2), rise], axis=1)))
     span = min(1 / rates[mode - 1], 20_000 * float(explicit_step(scene)))
-    # A thousandth of the amplitude.
-    return Case(scene, state, np.linspace(0, span, 41), tolerance=1e-3 * amplitude)
+    return Case(scene, state, np.linspace(0, span, 41), tolerance=1e-6 * amplitude)
 
 
 def _amplitude(case: Case, solution: Solution) -> np.ndarray:

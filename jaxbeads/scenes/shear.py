@@ -55,7 +55,7 @@ def shear(
         flow=Shear(shear_rate),
     )
     span = 0.75 * float(jeffery_period(cox_aspect_ratio(beads), shear_rate))
-    ts = np.linspace(0, span, 20 * int(np.ceil(span * shear_rate / 0.1 / 20)) + 1)
+    ts = np.linspace(0, span, 20 * int(np.ceil(span * shear_rate / 0.04 / 20)) + 1)
     return Case(scene, model.state(chain, np.full(beads, np.pi / 2)), ts)
 
 

@@ -123,8 +123,15 @@ class Rosenbrock(diffrax.AbstractAdaptiveSolver):
     ) -> tuple[State, State, dict, None, diffrax.RESULTS]:
         """One step from t0 to t1."""
         chart, h = coordinates(args, y0), t1 - t0
-        about, x0 = linearise(t0, chart, args), chart.origin
-        solve = _factorised(jnp.eye(len(x0), dtype=x0.dtype) - h * _GAMMA * about.jacobian)
+        about, x0 = linearise(t0, chart, args, frozen=True), chart.origin
+
+        def implicit(u: Array) -> Array:
+            """(I - h W/4) u; its derivatives need those of W in one direction only."""
+            along = jax.jvp(lambda x: coordinate_rate(t0, x, chart, args), (x0,), (u,))[1]
+            return u - h * _GAMMA * along
+
+        matrix = jnp.eye(len(x0), dtype=x0.dtype) - h * _GAMMA * about.jacobian
+        solve = _factorised(implicit, matrix)
         drift = h * h * about.drift
 
         def stage(us: Array, row: tuple[Array, ...]) -> tuple[Array, None]:
@@ -150,8 +157,9 @@ class Rosenbrock(diffrax.AbstractAdaptiveSolver):
         return terms.vf(t0, y0, args)
 
 
-def _factorised(matrix: Array) -> Callable[[Array], Array]:
-    """Solutions with one LU factor, which derivatives reuse."""
+def _factorised(product: Callable[[Array], Array], matrix: Array) -> Callable[[Array], Array]:
+    """Solutions of product(x) = rhs with one LU factor of the matrix, which derivatives reuse: they are
+    those of the product, which is taken only where something is differentiated."""
     factor, _, order = lax.linalg.lu(lax.stop_gradient(matrix))
     back = jnp.argsort(order)
 
@@ -171,4 +179,4 @@ def _factorised(matrix: Array) -> Callable[[Array], Array]:
     def transpose_solve(_: Callable[[Array], Array], rhs: Array) -> Array:
         return triangular(triangular(rhs, False, True), True, True)[back]
 
-    return lambda rhs: lax.custom_linear_solve(lambda x: matrix @ x, rhs, solve, transpose_solve)
+    return lambda rhs: lax.custom_linear_solve(product, rhs, solve, transpose_solve)
