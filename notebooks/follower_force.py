@@ -174,7 +174,7 @@ times = ts / unit
 
 def flap(force):
     case = scenes.follower_force(beads, force, perturbation=0.05)
-    run = case._replace(ts=ts, substeps=100).simulate(progress=False)
+    run = case._replace(ts=ts).simulate(progress=False)
     return np.asarray(run.states.position) / (2 * beads)
 
 

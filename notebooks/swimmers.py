@@ -100,15 +100,14 @@ plt.show()
 # **Number of beads.** $N$ is at once the aspect ratio of the worm, $L/2a$, and its resolution: the
 # frictions along and across a short chain differ little, so it is slow, and what changes with $N$
 # is the worm itself. The others than 15 are measured in their second period, in which the swimming
-# is already periodic, with steps 1.9 times that of eq. (39), which AB3 bears.
+# is already periodic.
 
 # %%
 numbers, speeds = [10, 15, 20, 30], []
 for beads in numbers:
     case = scenes.nematode(beads)
     case = case._replace(ts=case.ts[: 2 * SAMPLES + 1], until=None)
-    steps = int(np.ceil(1 / SAMPLES / float(jb.solver.explicit_step(case.scene)) / 1.9))
-    run = worm if beads == 15 else case.simulate(substeps=steps, progress=False)
+    run = worm if beads == 15 else case.simulate(progress=False)
     speeds.append(scenes.swimming_speed(run) / (2 * beads))
 second = np.linalg.norm(centre[2 * SAMPLES] - centre[SAMPLES])
 checks.append(("... in the second period", second, speed, 1e-5))
@@ -145,7 +144,7 @@ def pair(distance, antiphase, contact=True):
     scene = case.scene
     if not contact:
         scene = eqx.tree_at(lambda s: s.forces[1].strength, scene, jnp.zeros(()))
-    return case._replace(scene=scene).simulate(substeps=200, progress=False)
+    return case._replace(scene=scene).simulate(progress=False)
 
 
 alone = advance(worm)
@@ -205,8 +204,7 @@ plt.show()
 # The deformed shape turns about the axis of swimming once a period. No torque acts on the whole, so
 # the beads spin the other way. The rotation below is their mean spin about the axis over $2 \pi f$,
 # positive in the sense in which the shape turns. In the frame of the beads the wave then runs at $f
-# (1 - \text{rotation})$. Ten beads; all runs share the number of steps, and so the compiled
-# program.
+# (1 - \text{rotation})$. Ten beads.
 
 
 # %%
@@ -223,7 +221,7 @@ def spiral(frequency, handed=1):
     phase = handed * np.pi / 2  # of the wave in the second plane
     scene = eqx.tree_at(lambda s: s.forces[0].intrinsic_curvature.second.phase, case.scene, phase)
     case = case._replace(scene=scene)
-    run = case.simulate(substeps=75, progress=False)
+    run = case.simulate(progress=False)
     ts, states = scenes.last_period(run)
     position = np.asarray(states.position)
     step = position[-1].mean(axis=0) - position[0].mean(axis=0)
@@ -332,11 +330,11 @@ travel = float(jnp.ptp(jnp.mean(run.states.position[:, :, 0], axis=1)))
 forward = scenes.three_sphere(5.0, 0.4)
 checks.append(("reciprocal stroke: displacement/a", moved, 0.0, 1e-10))
 
-there = forward.simulate(progress=False)
+there = forward.simulate(tolerance=1e-10, progress=False)
 arms = forward.scene.constraints[0].law
 backward = scenes.Arms(arms.separation, arms.stroke, -arms.phase)  # l(-t)
 scene = eqx.tree_at(lambda s: s.constraints[0].law, forward.scene, backward)
-back = forward._replace(scene=scene, state=there.final).simulate(progress=False)
+back = forward._replace(scene=scene, state=there.final).simulate(tolerance=1e-10, progress=False)
 gained = float(np.abs(there.final.position - forward.state.position).max())
 missed = float(np.abs(back.final.position - forward.state.position).max())
 checks.append(("there and back: distance/a", missed, 0.0, 1e-8))

@@ -1,0 +1,359 @@
+"""Numerical stability: cases that break solvers, each with its end and its error, or why it stopped.
+
+    python benchmarks/hard_cases.py [--quick] [--json] [--only TEXT]
+
+Each case is run with `simulate`, by default with the solver and the tolerance (1e-6) that the scene gets by
+itself. A run that reaches its end is compared with a reference: the same run with a tolerance of 1e-9, or
+what the line says. Where neighbouring paths part, no solver can do better than what a displacement of the
+start does: `start` is how far the reference moves if every bond is first turned by random angles of the size
+of the tolerance. A result counts as right if its error is at most 20 times the tolerance, or 20 times that.
+
+- error, start: largest distance of a bead from the reference at any saved time, over L.
+- bonds: largest relative error of a bond length.
+
+The last line counts silent wrong results; the exit code is 1 if there is one.
+"""
+
+import argparse
+import json
+import time
+import warnings
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from speed_against_error import distance, settling
+
+import jaxbeads as jb
+from jaxbeads import scenes
+from jaxbeads.actuation import TravellingWave
+from jaxbeads.constraint import Gears
+from jaxbeads.coordinates import coordinates
+from jaxbeads.flow import Extension, Shear
+from jaxbeads.force import Bending, Contact, Weight
+
+jax.config.update("jax_enable_x64", True)
+
+
+class Run(NamedTuple):
+    """A scene, its start, the times to save at, and how it is run."""
+
+    scene: jb.Scene
+    state: jb.State
+    ts: np.ndarray
+    options: dict[str, Any] = {}  # noqa: RUF012 (read only)
+    reference: Callable[["Run"], jb.State] | None = None
+    """States that stand for the exact ones; by default those with a tolerance of 1e-9."""
+    note: Callable[["Run", jb.Solution], str] | None = None
+    """What else is to be seen."""
+
+    @property
+    def tolerance(self) -> float:
+        return self.options.get("tolerance", 1e-6)
+
+
+def steps(end: float, count: int = 40) -> np.ndarray:
+    return np.linspace(0.0, end, count + 1)
+
+
+def falling(beads: int, number: float, **options: Any) -> Run:
+    path = settling(beads, number)
+    return Run(path.case.scene, path.case.state, path.times, options)
+
+
+def symmetric(perturbation: float) -> Run:
+    """B = 10^4 from (all but) straight, until after the W has given way."""
+    case = scenes.settling(34, 1e4, perturbation=perturbation)
+    speed = 34 / float(scenes.settling_friction(case.scene))
+    ts = np.linspace(0, 70 * 68 / speed, 281)
+    return Run(case.scene, case.state, ts, note=w_shape)
+
+
+def w_shape(run: Run, solution: jb.Solution) -> str:
+    """When there are two troughs, and when the shape is lopsided by 1 % of L."""
+    height = np.asarray(solution.states.position)[:, :, 1]
+    slope = np.diff(height, axis=1)
+    troughs = np.sum((slope[:, :-1] < 0) & (slope[:, 1:] > 0), axis=1)
+    length = float(run.scene.chain.length[0])
+    lopsided = np.ptp(height - height[:, ::-1], axis=1) / length
+    speed = 34 / float(scenes.settling_friction(run.scene))
+    time = np.asarray(solution.ts) * speed / length
+    seen, gone = time[troughs == 2], time[lopsided > 0.01]
+    when = f"W from {seen[0]:.0f}" if len(seen) else "no W"
+    way = f"gives way at {gone[0]:.0f} L/V_s" if len(gone) else "does not give way"
+    return f"{when}, {way}; asymmetry at t = 0: {lopsided[0]:.0e} L"
+
+
+def flexible_shear(contact: bool) -> Run:
+    case = scenes.shear(35, 0.001)
+    scene = case.scene
+    if contact:
+        rigidity = float(scene.forces[0].rigidity)
+        push = Contact(20 * rigidity / float(scene.chain.length[0]) ** 2 + 20.0, 0.1, 0.1)
+        scene = eqx.tree_at(lambda s: s.forces, scene, (*scene.forces, push))
+    return Run(scene, case.state, case.ts[:: max(1, len(case.ts) // 100)], note=smallest_gap)
+
+
+def smallest_gap(run: Run, solution: jb.Solution) -> str:
+    """How close beads come that are no neighbours."""
+    x, chain = np.asarray(solution.states.position), run.scene.chain
+    apart = np.linalg.norm(x[:, :, None] - x[:, None], axis=-1)
+    i, fibre = np.arange(chain.beads), chain.fibre_of_bead
+    near = (abs(i[:, None] - i[None]) <= 1) & (fibre[:, None] == fibre[None])
+    return f"smallest gap {apart[:, ~near].min() - 2 * float(chain.radius):.2f} a"
+
+
+def stiff() -> Run:
+    """A rod in shear with K_b = 10^6 mu rate L^4, against one whose joints are frozen."""
+    case = scenes.jeffery(10)
+    length = float(case.scene.chain.length[0])
+    bending = Bending(1e6 * length**4)
+    scene = jb.Scene(case.scene.chain, 1.0, constraints=[Gears()], forces=[bending], flow=Shear(1.0))
+    return Run(scene, case.state, steps(2 * 52.942), reference=frozen)
+
+
+def frozen(run: Run) -> jb.State:
+    case = scenes.jeffery(10)
+    return jb.simulate(case.scene, run.state, run.ts, tolerance=1e-10, progress=False).states
+
+
+def kinked(angle: float) -> Run:
+    """20 beads bent at one joint, which straighten."""
+    chain = jb.Chain(1.0, 20)
+    turn = np.where(np.arange(19) < 9, 0.0, np.deg2rad(angle))
+    state = jb.State(jb.from_tangents(chain, np.stack([np.cos(turn), np.sin(turn)], axis=1)))
+    return Run(jb.Scene(chain, 1.0, constraints=[Gears()], forces=[Bending(100.0)]), state, steps(1e4))
+
+
+def hairpin() -> Run:
+    """20 beads in two parallel rows joined by a half turn of six, which open."""
+    chain = jb.Chain(1.0, 20)
+    turn = np.clip((np.arange(19) - 6.5) / 5, 0, 1) * np.pi
+    state = jb.State(jb.from_tangents(chain, np.stack([np.cos(turn), np.sin(turn)], axis=1)))
+    return Run(jb.Scene(chain, 1.0, constraints=[Gears()], forces=[Bending(100.0)]), state, steps(1e4))
+
+
+def squeezed() -> Run:
+    """Two fibres that a straining flow presses together."""
+    chain = jb.Chain(1.0, (10, 10))
+    forces = [Bending(50.0), Contact(200.0, 0.2, 0.1)]
+    scene = jb.Scene(chain, 1.0, constraints=[Gears()], forces=forces, flow=Extension(0.5))
+    state = jb.straight(chain, [1.0, 0.0], [[-1.0, -6.0], [1.0, 6.0]])
+    return Run(scene, state, steps(12.0), note=smallest_gap)
+
+
+def dropped() -> Run:
+    """A fibre that falls across another one, which is lighter."""
+    chain = jb.Chain(1.0, (9, 12))
+    weight = jnp.where(jnp.asarray(chain.fibre_of_bead)[:, None] == 0, 1.0, 0.2)
+    forces = [
+        Bending(50.0),
+        Contact(20.0, 0.2, 0.1),
+        jb.force.ForceField(lambda t, x: -weight * jnp.array([[0.0, 1.0]])),
+    ]
+    scene = jb.Scene(chain, 1.0, constraints=[Gears()], forces=forces)
+    state = jb.straight(chain, [1.0, 0.0], [[2.0, 8.0], [0.0, 0.0]])
+    return Run(scene, state, steps(400.0), note=smallest_gap)
+
+
+def orbits() -> Run:
+    """A stiff rod of 5 beads over 100 Jeffery orbits; the note has the phase that it is off."""
+    case = scenes.jeffery(5)
+    scene = jb.Scene(
+        case.scene.chain, 1.0, constraints=[Gears()], forces=[Bending(1e5)], flow=Shear(1.0)
+    )
+    return Run(scene, case.state, np.linspace(0, 100 * 31.876, 2001), note=turns)
+
+
+def turns(run: Run, solution: jb.Solution) -> str:
+    angle = np.unwrap(np.asarray(jb.observables.orientation(solution.states.position)))
+    return f"{abs(angle[-1] - angle[0]) / (2 * np.pi):.4f} turns"
+
+
+def beating(number: float) -> Run:
+    case = scenes.planar_beating(20, number)
+    return Run(case.scene, case.state, steps(3 * 2 * np.pi, 120))
+
+
+def nematode(factor: float) -> Run:
+    case = scenes.nematode(15)
+    bending = case.scene.forces[0]
+    scene = eqx.tree_at(
+        lambda s: s.forces[0].intrinsic_curvature.amplitude,
+        case.scene,
+        factor * bending.intrinsic_curvature.amplitude,
+    )
+    reference = at_rest if factor == 0 else None
+    return Run(scene, case.state, steps(3.0, 120), reference=reference, note=smallest_gap)
+
+
+def at_rest(run: Run) -> jb.State:
+    return jb.State(jnp.broadcast_to(run.state.position, (len(run.ts), *run.state.position.shape)))
+
+
+def single(beads: int, tolerance: float) -> Run:
+    """In float32, against float64."""
+    run = falling(beads, 1e3, tolerance=tolerance, single_precision=True)
+    scene, state = jax.tree.map(lambda x: x.astype(jnp.float32), (run.scene, run.state))
+    return run._replace(scene=scene, state=state, reference=double)
+
+
+def double(run: Run) -> jb.State:
+    path = settling(run.scene.chain.beads, 1e3)
+    exact = jb.simulate(path.case.scene, path.case.state, run.ts, tolerance=1e-9, progress=False)
+    return exact.states
+
+
+def long_steps(solver: diffrax.AbstractSolver, multiple: float) -> Run:
+    """Settling, N = 34, B = 1000, with a multiple of the paper's step (39)."""
+    run = falling(34, 1e3)
+    step = multiple * float(jb.solver.explicit_step(run.scene))
+    count = int(np.ceil(run.ts[1] / step))
+    return run._replace(options={"solver": solver, "substeps": count})
+
+
+def worm_in_space() -> Run:
+    """A spatial active fibre whose wave is in the plane: rounding must not turn it out of it."""
+    chain = jb.Chain(1.0, 12)
+    wave = TravellingWave(0.2, 2 * np.pi / 24, 1.0)
+    scene = jb.Scene(chain, 1.0, constraints=[Gears()], forces=[Bending(5e3, wave), Weight([0, 0, -9.0])])
+    return Run(scene, jb.straight(chain, [1.0, 0.0, 0.0]), steps(3.0, 60))
+
+
+CASES: dict[str, Callable[[], Run]] = {
+    "shear, bending ratio 0.001": lambda: flexible_shear(False),
+    "the same with contact": lambda: flexible_shear(True),
+    "settling, B = 10^5": lambda: falling(34, 1e5),
+    "settling, B = 10^-6": lambda: falling(34, 1e-6),
+    "shear, K = 10^6 mu rate L^4, against rigid": stiff,
+    "kinked by 90 degrees": lambda: kinked(90.0),
+    "kinked by 170 degrees: beads overlap": lambda: kinked(170.0),
+    "folded flat onto itself": lambda: kinked(180.0),
+    "hairpin": hairpin,
+    "two fibres pressed together": squeezed,
+    "one fibre dropped on another": dropped,
+    "settling, odd N = 35": lambda: falling(35, 1e3),
+    "settling, N = 200": lambda: falling(200, 1e3),
+    "100 Jeffery orbits": orbits,
+    "planar beating, Sp = 0.1": lambda: beating(0.1),
+    "planar beating, Sp = 20": lambda: beating(20.0),
+    "nematode, no actuation": lambda: nematode(0.0),
+    "nematode, 20 times the curvature": lambda: nematode(20.0),
+    "spatial worm, weight across its plane": worm_in_space,
+    "float32, N = 10": lambda: single(10, 1e-4),
+    "float32, N = 34": lambda: single(34, 1e-4),
+    "float32, tolerance 1e-6": lambda: single(10, 1e-6),
+    "AB3, 100 times the step (39)": lambda: long_steps(jb.AB3(), 100.0),
+    "Tsit5, 100 times the step (39)": lambda: long_steps(diffrax.Tsit5(), 100.0),
+    "Rosenbrock, 100 times the step (39)": lambda: long_steps(jb.Rosenbrock(), 100.0),
+    "Rosenbrock, 10^5 times the step (39)": lambda: long_steps(jb.Rosenbrock(), 1e5),
+    "tolerance 1e-2": lambda: falling(34, 1e3, tolerance=1e-2),
+    "tolerance 1e-10": lambda: falling(34, 1e3, tolerance=1e-10),
+    "B = 10^4, sloping by 1e-6 rad at one end": lambda: symmetric(1e-6),
+    "B = 10^4, exactly straight": lambda: symmetric(0.0),
+}
+
+QUICK = (
+    "settling, B = 10^-6",
+    "kinked by 90 degrees",
+    "folded flat onto itself",
+    "AB3, 100 times the step (39)",
+    "Rosenbrock, 100 times the step (39)",
+    "tolerance 1e-2",
+    "nematode, no actuation",
+)
+
+
+class Outcome(NamedTuple):
+    reached: bool
+    right: bool
+    error: float | None
+    start: float | None
+    bond: float | None
+    steps: int
+    wall_s: float
+    message: str
+
+
+def displaced(run: Run) -> jb.State:
+    """The start with its bonds turned by angles of the size of the tolerance."""
+    chart = coordinates(run.scene, run.state)
+    x = np.random.default_rng(0).normal(size=chart.origin.shape) * run.tolerance
+    return chart.state(jnp.asarray(x, chart.origin.dtype).at[: chart.sizes[0]].set(0.0))
+
+
+def exact(run: Run, state: jb.State) -> jb.State:
+    tolerance = min(1e-9, run.tolerance / 10)
+    options = {"tolerance": tolerance, "overlap": True, "progress": False}
+    return jb.simulate(run.scene, state, run.ts, **options).states
+
+
+def outcome(run: Run) -> Outcome:
+    started = time.perf_counter()
+    try:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            solution = jb.simulate(run.scene, run.state, run.ts, progress=False, **run.options)
+    except (ValueError, jb.SimulationError) as stop:
+        end = time.perf_counter() - started
+        at = getattr(stop, "solution", None)
+        return Outcome(False, True, None, None, None, 0 if at is None else int(at.steps), end, str(stop))
+    wall = solution.wall_s - solution.compile_s
+    path: Any = Path(run)
+    reference = (run.reference or (lambda run: exact(run, run.state)))(run)
+    error = distance(path, solution.states, reference)
+    start = None
+    if run.reference is None:
+        start = distance(path, exact(run, displaced(run)), reference)
+    right = error <= 20 * max(run.tolerance, start or 0.0)
+    notes = [str(w.message) for w in caught]
+    if run.note is not None:
+        notes.insert(0, run.note(run, solution))
+    bond = float(np.max(solution.bond_length_error))
+    return Outcome(True, right, error, start, bond, int(solution.steps), wall, " ".join(notes))
+
+
+class Path(NamedTuple):
+    """What `distance` asks for."""
+
+    run: Run
+
+    @property
+    def length(self) -> float:
+        return float(jnp.max(self.run.scene.chain.length))
+
+
+def text(value: float | None) -> str:
+    return "-" if value is None else f"{value:.1e}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="a few of them")
+    parser.add_argument("--json", action="store_true", help="one JSON object as the last line")
+    parser.add_argument("--only", metavar="TEXT", help="those whose names hold this")
+    arguments = parser.parse_args()
+    names = QUICK if arguments.quick else tuple(CASES)
+    names = tuple(name for name in names if arguments.only is None or arguments.only in name)
+    found = {}
+    print(f"{'case':<44}{'error':>9}{'start':>9}{'bonds':>9}{'steps':>8}{'run [s]':>9}")
+    for name in names:
+        o = found[name] = outcome(CASES[name]())
+        numbers = f"{text(o.error):>9}{text(o.start):>9}{text(o.bond):>9}{o.steps:>8}{o.wall_s:>9.3f}"
+        print(f"{name:<44}{numbers}{'' if o.right else '  WRONG'}")
+        if o.message:
+            print(f"    {'' if o.reached else 'stopped: '}{o.message}", flush=True)
+    wrong = [name for name, o in found.items() if not o.right]
+    print(f"{len(found)} cases, {sum(not o.reached for o in found.values())} stopped with a message, ")
+    print(f"{len(wrong)} silent wrong results{': ' + '; '.join(wrong) if wrong else ''}")
+    if arguments.json:
+        print(json.dumps({name: o._asdict() for name, o in found.items()}))
+    raise SystemExit(bool(wrong))
+
+
+if __name__ == "__main__":
+    main()
