@@ -2,11 +2,12 @@
 
     python benchmarks/hard_cases.py [--quick] [--json] [--only TEXT]
 
-Each case is run with `simulate`, by default with the solver and the tolerance (1e-6) that the scene gets by
-itself. A run that reaches its end is compared with a reference: the same run with a tolerance of 1e-9, or
-what the line says. Where neighbouring paths part, no solver can do better than what a displacement of the
-start does: `start` is how far the reference moves if every bond is first turned by random angles of the size
-of the tolerance. A result counts as right if its error is at most 20 times the tolerance, or 20 times that.
+Each case is run with `simulate`, by default with the solver and the tolerance (1e-6) that the scene gets
+by itself. A run that reaches its end is compared with a reference: that with a tolerance of 1e-9, or
+what the line says. Where neighbouring paths part, no solver can do better than what a displacement of
+the start does: `start` is how far the reference moves if every bond is first turned by random angles of
+the size of the tolerance. A result counts as right if its error is at most 100 times the tolerance or 20
+times that; errors add up, so that the path of 100 orbits is allowed 2000 times the tolerance.
 
 - error, start: largest distance of a bead from the reference at any saved time, over L.
 - bonds: largest relative error of a bond length.
@@ -50,6 +51,8 @@ class Run(NamedTuple):
     """States that stand for the exact ones; by default those with a tolerance of 1e-9."""
     note: Callable[["Run", jb.Solution], str] | None = None
     """What else is to be seen."""
+    allowed: float = 100.0
+    """Error over the tolerance."""
 
     @property
     def tolerance(self) -> float:
@@ -63,6 +66,16 @@ def steps(end: float, count: int = 40) -> np.ndarray:
 def falling(beads: int, number: float, **options: Any) -> Run:
     path = settling(beads, number)
     return Run(path.case.scene, path.case.state, path.times, options)
+
+
+def softest(contact: bool) -> Run:
+    """B = 10^5: the fibre folds up."""
+    run = falling(34, 1e5)
+    if not contact:
+        return run
+    scene = run.scene
+    scene = eqx.tree_at(lambda s: s.forces, scene, (*scene.forces, Contact(20.0, 0.1, 0.1)))
+    return run._replace(scene=scene, note=smallest_gap)
 
 
 def symmetric(perturbation: float) -> Run:
@@ -88,14 +101,9 @@ def w_shape(run: Run, solution: jb.Solution) -> str:
     return f"{when}, {way}; asymmetry at t = 0: {lopsided[0]:.0e} L"
 
 
-def flexible_shear(contact: bool) -> Run:
+def flexible_shear() -> Run:
     case = scenes.shear(35, 0.001)
-    scene = case.scene
-    if contact:
-        rigidity = float(scene.forces[0].rigidity)
-        push = Contact(20 * rigidity / float(scene.chain.length[0]) ** 2 + 20.0, 0.1, 0.1)
-        scene = eqx.tree_at(lambda s: s.forces, scene, (*scene.forces, push))
-    return Run(scene, case.state, case.ts[:: max(1, len(case.ts) // 100)], note=smallest_gap)
+    return Run(case.scene, case.state, np.linspace(0, case.ts[-1], 101), note=smallest_gap)
 
 
 def smallest_gap(run: Run, solution: jb.Solution) -> str:
@@ -112,7 +120,9 @@ def stiff() -> Run:
     case = scenes.jeffery(10)
     length = float(case.scene.chain.length[0])
     bending = Bending(1e6 * length**4)
-    scene = jb.Scene(case.scene.chain, 1.0, constraints=[Gears()], forces=[bending], flow=Shear(1.0))
+    scene = jb.Scene(
+        case.scene.chain, 1.0, constraints=[Gears()], forces=[bending], flow=Shear(1.0)
+    )
     return Run(scene, case.state, steps(2 * 52.942), reference=frozen)
 
 
@@ -126,7 +136,9 @@ def kinked(angle: float) -> Run:
     chain = jb.Chain(1.0, 20)
     turn = np.where(np.arange(19) < 9, 0.0, np.deg2rad(angle))
     state = jb.State(jb.from_tangents(chain, np.stack([np.cos(turn), np.sin(turn)], axis=1)))
-    return Run(jb.Scene(chain, 1.0, constraints=[Gears()], forces=[Bending(100.0)]), state, steps(1e4))
+    return Run(
+        jb.Scene(chain, 1.0, constraints=[Gears()], forces=[Bending(100.0)]), state, steps(1e4)
+    )
 
 
 def hairpin() -> Run:
@@ -134,7 +146,9 @@ def hairpin() -> Run:
     chain = jb.Chain(1.0, 20)
     turn = np.clip((np.arange(19) - 6.5) / 5, 0, 1) * np.pi
     state = jb.State(jb.from_tangents(chain, np.stack([np.cos(turn), np.sin(turn)], axis=1)))
-    return Run(jb.Scene(chain, 1.0, constraints=[Gears()], forces=[Bending(100.0)]), state, steps(1e4))
+    return Run(
+        jb.Scene(chain, 1.0, constraints=[Gears()], forces=[Bending(100.0)]), state, steps(1e4)
+    )
 
 
 def squeezed() -> Run:
@@ -166,7 +180,7 @@ def orbits() -> Run:
     scene = jb.Scene(
         case.scene.chain, 1.0, constraints=[Gears()], forces=[Bending(1e5)], flow=Shear(1.0)
     )
-    return Run(scene, case.state, np.linspace(0, 100 * 31.876, 2001), note=turns)
+    return Run(scene, case.state, np.linspace(0, 100 * 31.876, 2001), note=turns, allowed=2e3)
 
 
 def turns(run: Run, solution: jb.Solution) -> str:
@@ -220,14 +234,16 @@ def worm_in_space() -> Run:
     """A spatial active fibre whose wave is in the plane: rounding must not turn it out of it."""
     chain = jb.Chain(1.0, 12)
     wave = TravellingWave(0.2, 2 * np.pi / 24, 1.0)
-    scene = jb.Scene(chain, 1.0, constraints=[Gears()], forces=[Bending(5e3, wave), Weight([0, 0, -9.0])])
+    scene = jb.Scene(
+        chain, 1.0, constraints=[Gears()], forces=[Bending(5e3, wave), Weight([0, 0, -9.0])]
+    )
     return Run(scene, jb.straight(chain, [1.0, 0.0, 0.0]), steps(3.0, 60))
 
 
 CASES: dict[str, Callable[[], Run]] = {
-    "shear, bending ratio 0.001": lambda: flexible_shear(False),
-    "the same with contact": lambda: flexible_shear(True),
-    "settling, B = 10^5": lambda: falling(34, 1e5),
+    "shear, bending ratio 0.001": flexible_shear,
+    "settling, B = 10^5": lambda: softest(False),
+    "settling, B = 10^5, with contact": lambda: softest(True),
     "settling, B = 10^-6": lambda: falling(34, 1e-6),
     "shear, K = 10^6 mu rate L^4, against rigid": stiff,
     "kinked by 90 degrees": lambda: kinked(90.0),
@@ -301,7 +317,9 @@ def outcome(run: Run) -> Outcome:
     except (ValueError, jb.SimulationError) as stop:
         end = time.perf_counter() - started
         at = getattr(stop, "solution", None)
-        return Outcome(False, True, None, None, None, 0 if at is None else int(at.steps), end, str(stop))
+        return Outcome(
+            False, True, None, None, None, 0 if at is None else int(at.steps), end, str(stop)
+        )
     wall = solution.wall_s - solution.compile_s
     path: Any = Path(run)
     reference = (run.reference or (lambda run: exact(run, run.state)))(run)
@@ -309,7 +327,7 @@ def outcome(run: Run) -> Outcome:
     start = None
     if run.reference is None:
         start = distance(path, exact(run, displaced(run)), reference)
-    right = error <= 20 * max(run.tolerance, start or 0.0)
+    right = error <= max(run.allowed * run.tolerance, 20 * (start or 0.0))
     notes = [str(w.message) for w in caught]
     if run.note is not None:
         notes.insert(0, run.note(run, solution))
@@ -343,12 +361,16 @@ def main() -> None:
     print(f"{'case':<44}{'error':>9}{'start':>9}{'bonds':>9}{'steps':>8}{'run [s]':>9}")
     for name in names:
         o = found[name] = outcome(CASES[name]())
-        numbers = f"{text(o.error):>9}{text(o.start):>9}{text(o.bond):>9}{o.steps:>8}{o.wall_s:>9.3f}"
+        numbers = (
+            f"{text(o.error):>9}{text(o.start):>9}{text(o.bond):>9}{o.steps:>8}{o.wall_s:>9.3f}"
+        )
         print(f"{name:<44}{numbers}{'' if o.right else '  WRONG'}")
         if o.message:
             print(f"    {'' if o.reached else 'stopped: '}{o.message}", flush=True)
     wrong = [name for name, o in found.items() if not o.right]
-    print(f"{len(found)} cases, {sum(not o.reached for o in found.values())} stopped with a message, ")
+    print(
+        f"{len(found)} cases, {sum(not o.reached for o in found.values())} stopped with a message, "
+    )
     print(f"{len(wrong)} silent wrong results{': ' + '; '.join(wrong) if wrong else ''}")
     if arguments.json:
         print(json.dumps({name: o._asdict() for name, o in found.items()}))

@@ -23,6 +23,8 @@ from .chain import from_directors as from_directors
 from .chain import from_tangents as from_tangents
 from .chain import straight as straight
 from .files import load as load
+from .periodic import PeriodicState as PeriodicState
+from .periodic import periodic_state as periodic_state
 from .rollout import Solution as Solution
 from .rollout import rollout as rollout
 from .scene import Scene as Scene

@@ -8,6 +8,7 @@ import numpy as np
 
 from .constraint import AbstractChainConstraint
 from .dynamics import ambient_motion, redundancy
+from .force import Contact
 from .rollout import Solution, Stepper, default_solver
 from .scene import Scene
 from .solver import AdaptiveSteps, FixedSteps, Rosenbrock, explicit_step
@@ -75,7 +76,10 @@ def _smallest_gap(scene: Scene, state: State) -> str:
     gap = np.linalg.norm(x[:, None] - x[None], axis=-1) - a[:, None] - a[None, :]
     np.fill_diagonal(gap, np.inf)
     i, j = sorted(int(k) for k in np.unravel_index(np.argmin(gap), gap.shape))
-    return f" The smallest gap is {gap[i, j]:.3g} (beads {i} and {j})."
+    found = f" The smallest gap is {gap[i, j]:.3g} (beads {i} and {j})."
+    if gap[i, j] < -0.1 * a.min() and not any(isinstance(f, Contact) for f in scene.forces):
+        found += " They pass through one another: `Contact` keeps beads apart."
+    return found
 
 
 def explain(

@@ -10,7 +10,7 @@ from .chain import Chain, place
 from .constraint import AbstractChainConstraint
 from .geometry import normals
 from .scene import Scene
-from .state import State, ravel, unravel
+from .state import State
 
 
 class Coordinates(eqx.Module):
@@ -32,9 +32,11 @@ class Coordinates(eqx.Module):
 
     def state(self, x: Float[Array, " numbers"]) -> State:
         """The state at x."""
-        if self.constraint is None or self.direction is None:
-            return unravel(ravel(self.start) + x, self.start)
         points, turn, rest = self._split(x)
+        director = self.start.director
+        if self.constraint is None or self.direction is None:
+            director = None if director is None else director + rest
+            return State(self.start.position + points, director)
         quarter = (turn * turn).sum(axis=1, keepdims=True) / 4
         sideways = jnp.einsum("rn,rnd->rd", turn, normals(self.direction))
         direction = ((1 - quarter) * self.direction + sideways) / (1 + quarter)
@@ -44,7 +46,6 @@ class Coordinates(eqx.Module):
         position = place(self.chain, bonds, points, weights)
         if self.constraint.oriented:
             return State(position, direction)
-        director = self.start.director
         return State(position, None if director is None else director + rest)
 
     def rate(
@@ -52,7 +53,10 @@ class Coordinates(eqx.Module):
     ) -> Float[Array, " numbers"]:
         """dx/dt at x, where the state is `state` and its rate of change `moving`."""
         if self.constraint is None or self.direction is None:
-            return ravel(moving)
+            parts = (
+                [moving.position] if moving.director is None else [moving.position, moving.director]
+            )
+            return jnp.concatenate([part.ravel() for part in parts])
         constraint, turn = self.constraint, self._split(x)[1]
         turning = jax.jvp(lambda s: constraint.directions(s, self.chain), (state,), (moving,))[1]
         quarter = (turn * turn).sum(axis=1, keepdims=True) / 4
@@ -65,13 +69,19 @@ class Coordinates(eqx.Module):
 
     @property
     def sizes(self) -> tuple[int, ...]:
-        """How many numbers are points of fibres, turns of directions, directors that are carried."""
+        """How many numbers are points of fibres (or all beads), turns of directions, directors that are
+        carried."""
+        size = self.start.position.size
+        carried = self.start.director is not None
         if self.constraint is None or self.direction is None:
-            return (ravel(self.start).shape[0],)
+            return size, 0, size if carried else 0
         rows, dim = self.direction.shape
-        carried = self.start.director is not None and not self.constraint.oriented
-        rest = self.start.position.size if carried else 0
+        rest = size if carried and not self.constraint.oriented else 0
         return len(self.chain.fibres) * dim, rows * (dim - 1), rest
+
+    def places(self, position: Float[Array, "beads dim"]) -> Float[Array, "points dim"]:
+        """The points by which beads at these positions are placed."""
+        return position if self.constraint is None else self._weights @ position
 
     def _split(self, x: Array) -> tuple[Array, Array, Array]:
         dim = self.start.position.shape[1]

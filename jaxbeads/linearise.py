@@ -64,8 +64,8 @@ def linearise(
     O(N^3) in matrix products only.
 
     **Arguments**: time; coordinates about the state; scene; `frozen`: whether the Jacobian counts as a
-    constant where the result is differentiated (the derivatives of all its columns are dear). **Returns**
-    a `Linearisation`; NaN as for `dynamics.evaluate`.
+    constant where the result is differentiated (the derivatives of all its columns are dear).
+    **Returns** a `Linearisation`; NaN as for `dynamics.evaluate`.
     """
     t, state = jnp.asarray(t), coordinates.start
     operator = mobility_operator(state, scene)

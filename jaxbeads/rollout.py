@@ -180,12 +180,11 @@ def advance(
 ) -> tuple[Carry, State]:
     """From ts[0] to ts[-1]; returns the carry there and the states at ts[1:]."""
 
-    # Only the states at the save times are kept for the backward pass; the rest is done again.
-    @jax.checkpoint
     def interval(carry: Carry, span: tuple[Array, Array]) -> tuple[Carry, State]:
         carry = stepper.interval(scene, carry, *span)
         return carry, carry.state
 
+    ts = jnp.asarray(ts)
     return lax.scan(interval, carry, (ts[:-1], ts[1:]))
 
 

@@ -62,19 +62,6 @@ class Load(eqx.Module):
     torque: Float[Array, "*batch beads spins"] | None = None
 
 
-def ravel(state: State) -> Float[Array, " numbers"]:
-    """All numbers of a state in a row, component after component."""
-    parts = [state.position] if state.director is None else [state.position, state.director]
-    return jnp.concatenate([x.T.ravel() for x in parts])
-
-
-def unravel(numbers: Float[Array, " numbers"], like: State) -> State:
-    """The state that `ravel` makes into these numbers; its shape is that of `like`."""
-    beads, dim = like.position.shape
-    parts = numbers.reshape(-1, dim, beads)
-    return State(*(part.T for part in parts))
-
-
 def spins(dim: int) -> int:
     """Number of spin components of a bead: 1 in the plane, 3 in space."""
     return 1 if dim == 2 else 3

@@ -1,5 +1,8 @@
 """Steady shapes by root finding, where stepping through time would be a waste."""
 
+from collections.abc import Callable
+from typing import TypeVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -36,39 +39,129 @@ class SteadyState(eqx.Module):
         return values[np.argsort(-np.real(values))]
 
 
-class _Shape(eqx.Module):
-    """Coordinates relative to the first place, places in units of the fibre's length."""
+class Shape(eqx.Module):
+    """Coordinates y of shapes about one of them: those of `chart` relative to the first place, places in
+    units of the fibre's length."""
 
     chart: Coordinates
     scale: Array
     fixed: int = eqx.field(static=True)
 
+    @property
+    def origin(self) -> Float[Array, " numbers"]:
+        """y = 0."""
+        return self.drop(self.chart.origin)
+
+    def state(self, y: Array) -> State:
+        """The state at y."""
+        return self.chart.state(self.lift(y))
+
     def lift(self, y: Array) -> Array:
-        """The coordinates x of a shape."""
+        """The chart's coordinates x of a shape."""
         return self.scale * jnp.pad(y, (self.fixed, 0))
 
-    def drop(self, rate: Array) -> Array:
-        """dy/dt from dx/dt."""
+    def drop(self, change: Array) -> Array:
+        """dy from dx."""
         if self.fixed:
             places = self.chart.sizes[0]
-            common = jnp.tile(rate[: self.fixed], places // self.fixed)
-            rate = rate - jnp.pad(common, (0, len(rate) - places))
-        return (rate / self.scale)[self.fixed :]
+            common = jnp.tile(change[: self.fixed], places // self.fixed)
+            change = change - jnp.pad(common, (0, len(change) - places))
+        return (change / self.scale)[self.fixed :]
 
 
-def _shape(scene: Scene, state: State, moving: bool) -> _Shape:
+def shape_about(scene: Scene, state: State, moving: bool) -> Shape:
+    """Coordinates of shapes about that of a state; of all places, unless it is `moving` as a whole."""
     chart = coordinates(scene, state)
     places, *others = chart.sizes
     scale = jnp.ones(places + sum(others), state.position.dtype)
     scale = scale.at[:places].set(jnp.max(scene.chain.length))
-    return _Shape(chart, scale, state.position.shape[1] if moving else 0)
+    return Shape(chart, scale, state.position.shape[1] if moving else 0)
 
 
-def _linear(t: Time, shape: _Shape, scene: Scene) -> tuple[Array, Array]:
-    """dy/dt and its Jacobian at y = 0."""
-    about = linearise(t, shape.chart, scene)
-    columns = jax.vmap(shape.drop, 1, 1)(about.jacobian * shape.scale[None, :])
-    return shape.drop(about.rate), columns[:, shape.fixed :]
+Outcome = tuple[Array, Array]
+"""What is to be zero, and what else is sought, two vectors."""
+System = Callable[[Shape, Array, Scene], Outcome]
+"""Both as functions of the shape's coordinates."""
+Linear = Callable[[Shape, Scene], tuple[Outcome, Outcome]]
+"""Both at y = 0, and their Jacobians."""
+
+
+_Result = TypeVar("_Result", bound=eqx.Module)
+
+
+class _Turn(eqx.Module):
+    """One step of Newton's method, from the shape of a state to the coordinates y about it."""
+
+    count: Array
+    size: Array
+    state: State
+    y: Array
+    sought: Array
+    jacobians: Outcome
+
+
+def root(
+    system: System,
+    linear: Linear,
+    scene: Scene,
+    start: State,
+    moving: bool,
+    tolerance: Array,
+    max_steps: int,
+    neutral: float = 1e-12,
+) -> tuple[State, Array, Array, Array]:
+    """The shape at which a residual vanishes, by Newton's method.
+
+    No bond turns by more than half a radian in a step. Singular values below `neutral` times the largest
+    count as zero. Derivatives by the scene follow from the implicit
+    function theorem. **Returns** the state, what else is sought, whether it was found, and the Jacobian
+    of the residual.
+    """
+    frozen = lax.stop_gradient(scene)
+
+    def inverse(jacobian: Array) -> Array:
+        # Directions that make no difference are left alone.
+        least = 100 * len(jacobian) * float(jnp.finfo(jacobian.dtype).eps)
+        return jnp.linalg.pinv(jacobian, rtol=max(neutral, least))
+
+    def newton(turn: _Turn) -> _Turn:
+        state = shape_about(frozen, turn.state, moving).state(turn.y)
+        (value, sought), jacobians = linear(shape_about(frozen, state, moving), frozen)
+        y = -inverse(jacobians[0]) @ value
+        size = jnp.max(jnp.abs(y), initial=0.0)
+        y = y * jnp.minimum(1.0, 0.5 / jnp.where(size > 0, size, 1.0))
+        return _Turn(turn.count + 1, size, state, y, sought + jacobians[1] @ y, jacobians)
+
+    start = lax.stop_gradient(start)
+    shape = shape_about(frozen, start, moving)
+    outcomes = jax.eval_shape(linear, shape, frozen)
+    (_, sought), jacobians = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), outcomes)
+    infinite = jnp.asarray(jnp.inf, start.position.dtype)
+    turn = _Turn(jnp.zeros((), int), infinite, start, shape.origin, sought, jacobians)
+    turn = lax.while_loop(
+        lambda turn: (turn.count < max_steps) & (turn.size > tolerance), newton, turn
+    )
+    # The root depends on the scene: with z = (y, sought), d(residual, what is sought - sought) = 0.
+    first, second = turn.jacobians
+    solution = inverse(first)
+    below = jnp.concatenate([second @ solution, -jnp.eye(len(sought), dtype=second.dtype)], axis=1)
+    solution = jnp.concatenate([jnp.pad(solution, ((0, 0), (0, len(sought)))), below])
+    shape = shape_about(frozen, turn.state, moving)
+    live = eqx.tree_at(lambda s: s.chart.chain, shape, scene.chain)
+    size = len(turn.y)
+
+    def both(z: Array) -> Array:
+        value, sought = system(live, z[:size], scene)
+        return jnp.concatenate([value, sought - z[size:]])
+
+    guess = jnp.concatenate([turn.y, turn.sought])
+    z = lax.custom_root(both, guess, lambda _, z: z, lambda _, b: solution @ b)
+    return live.state(z[:size]), z[size:], turn.size <= tolerance, first
+
+
+def or_nothing(found: Array, result: _Result) -> _Result:
+    """The result, or NaN."""
+    return jax.tree.map(lambda x: x if x.dtype == bool else jnp.where(found, x, jnp.nan), result)
 
 
 def steady_state(
@@ -113,42 +206,19 @@ def steady_state(
 def _solve(
     scene: Scene, start: State, t: Array, moving: bool, tolerance: Array, max_steps: int
 ) -> SteadyState:
-    frozen = lax.stop_gradient(scene)
+    dim = start.position.shape[1]
 
-    def inverse(jacobian: Array) -> Array:
-        # Directions that make no difference are left alone.
-        return jnp.linalg.pinv(jacobian, rtol=10 * len(jacobian) * jnp.finfo(jacobian.dtype).eps)
+    def system(shape: Shape, y: Array, scene: Scene) -> Outcome:
+        rate = coordinate_rate(t, shape.lift(y), shape.chart, scene)
+        return shape.drop(rate), rate[:dim]
 
-    def unfinished(loop: tuple[Array, Array, State]) -> Array:
-        count, size, _ = loop
-        return (count < max_steps) & (size > tolerance)
+    def linear(shape: Shape, scene: Scene) -> tuple[Outcome, Outcome]:
+        about = linearise(t, shape.chart, scene)
+        columns = (about.jacobian * shape.scale[None, :])[:, shape.fixed :]
+        dropped = jax.vmap(shape.drop, 1, 1)(columns)
+        return (shape.drop(about.rate), about.rate[:dim]), (dropped, columns[:dim])
 
-    def newton(loop: tuple[Array, Array, State]) -> tuple[Array, Array, State]:
-        count, _, state = loop
-        shape = _shape(frozen, state, moving)
-        rate, jacobian = _linear(t, shape, frozen)
-        step = -inverse(jacobian) @ rate
-        size = jnp.max(jnp.abs(step), initial=0.0)
-        # No bond turns by more than half a radian at once.
-        step = step * jnp.minimum(1.0, 0.5 / jnp.where(size > 0, size, 1.0))
-        return count + 1, size, shape.chart.state(shape.lift(step))
-
-    first = jnp.zeros((), int), jnp.asarray(jnp.inf, start.position.dtype), lax.stop_gradient(start)
-    _, size, state = lax.while_loop(unfinished, newton, first)
-    # The root depends on the scene: d(rate) = 0 about it.
-    shape = _shape(frozen, state, moving)
-    _, jacobian = _linear(t, shape, frozen)
-    solution = inverse(jacobian)
-    live = eqx.tree_at(lambda s: s.chart.chain, shape, scene.chain)
-
-    def rate(y: Array) -> Array:
-        return live.drop(coordinate_rate(t, live.lift(y), live.chart, scene))
-
-    y = lax.custom_root(rate, jnp.zeros(len(jacobian)), lambda _, y: y, lambda _, b: solution @ b)
-    state = live.chart.state(live.lift(y))
-    x_rate = coordinate_rate(t, live.lift(y), live.chart, scene)
-    velocity = x_rate[: state.position.shape[1]]
-    result = SteadyState(state, velocity, size <= tolerance, jacobian)
-    return jax.tree.map(
-        lambda x: x if x.dtype == bool else jnp.where(result.converged, x, jnp.nan), result
+    state, velocity, found, jacobian = root(
+        system, linear, scene, start, moving, tolerance, max_steps
     )
+    return or_nothing(found, SteadyState(state, velocity, found, jacobian))

@@ -41,7 +41,7 @@ def exact(**options):
 def test_observed_order(solver, order):
     # Gate T6: four halvings, start-up included, against a solution that is 1e-13 exact. Every step is
     # an interval of `simulate`, whose program does not depend on their number.
-    # (The implicit one is of order 5 in all but name where the flow changes fast: it meets a stiff fibre.)
+    # (The implicit one meets a stiff fibre: in an unsteady flow terms of order 5 hide those of 4.)
     options = {"flow": False, "rigidity": 40.0} if order == 4 else {}
     model, state = moving(**options)
     first = {1: 1600, 2: 200, 3: 200, 4: 5}[order]

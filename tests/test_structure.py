@@ -13,7 +13,7 @@ PACKAGE = Path(jaxbeads.__file__).parent
 
 # A module imports from earlier rows only (and, in a row, what `base` modules allow).
 ORDER = [
-    {"_typing", "_checks"},
+    {"_typing", "_checks", "loops"},
     {"state", "geometry"},
     {"tensors"},
     {"chain", "flow", "actuation", "numbers"},
@@ -23,7 +23,7 @@ ORDER = [
     {"linearise", "observables"},
     {"solver", "steady"},
     {"rollout"},
-    {"breakdown", "files"},
+    {"breakdown", "files", "periodic"},
     {"simulate"},
     {"scenes", "plot"},
     {"__main__"},

@@ -8,7 +8,6 @@ from typing import Any
 
 import diffrax
 import equinox as eqx
-import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,6 +17,7 @@ from jaxtyping import Array, Float, Int
 from ..coordinates import project
 from ..dynamics import rate
 from ..geometry import norm
+from ..loops import loop
 from ..scene import Scene
 from ..state import State
 
@@ -51,6 +51,11 @@ class Carry(eqx.Module):
     positions are not finite, or bonds are off their lengths by more than 1 %.)"""
     memory: Any
     """Of the solver and its controller."""
+
+
+def _block(steps: int) -> int:
+    """The largest divisor up to the root of a number of steps."""
+    return next(n for n in range(int(np.sqrt(steps)), 0, -1) if steps % n == 0)
 
 
 class FixedSteps(eqx.Module):
@@ -89,7 +94,13 @@ class FixedSteps(eqx.Module):
         def body(carry: Carry, index: Any) -> tuple[Carry, None]:
             return self.step(scene, carry, t0, t1, index), None
 
-        return lax.scan(body, carry, jnp.arange(self.substeps))[0]
+        # The backward pass keeps the first carry of each block, and one block in full.
+        @jax.checkpoint
+        def block(carry: Carry, indices: Array) -> tuple[Carry, None]:
+            return lax.scan(body, carry, indices)
+
+        indices = jnp.arange(self.substeps).reshape(-1, _block(self.substeps))
+        return lax.scan(block, carry, indices)[0]
 
 
 def _first_step(scene: Scene, state: State, t0: Time, t1: Time) -> Array:
@@ -142,7 +153,7 @@ class AdaptiveSteps(eqx.Module):
         adaptive = _Adaptive(t0, end, state, memory, controller, jump, (t0, t0, dense))
         return Carry(state, jnp.zeros((), int), jnp.zeros((), int), adaptive)
 
-    def _attempt(self, scene: Scene, code: Array, a: _Adaptive) -> tuple[Array, _Adaptive]:
+    def attempt(self, scene: Scene, code: Array, a: _Adaptive) -> tuple[Array, _Adaptive]:
         y, error, dense, memory, result = self.solver.step(
             _TERM, a.previous, a.next, a.state, scene, a.solver, a.jump
         )
@@ -177,23 +188,9 @@ class AdaptiveSteps(eqx.Module):
     def interval(self, scene: Scene, carry: Carry, t0: Time, t1: Time) -> Carry:
         """Carry at t1 from that at t0."""
 
-        def unfinished(loop: tuple[Array, Array, _Adaptive]) -> Array:
-            _, code, a = loop
-            return (a.previous < t1) & (code == 0)
-
-        def body(loop: tuple[Array, Array, _Adaptive]) -> tuple[Array, Array, _Adaptive]:
-            count, code, a = loop
-            code, a = self._attempt(scene, code, a)
-            return (
-                count + 1,
-                jnp.where((count + 1 >= self.max_steps) & (a.previous < t1), 1, code),
-                a,
-            )
-
         first = jnp.zeros((), int), carry.code, carry.memory
-        count, code, a = eqxi.while_loop(
-            unfinished, body, first, max_steps=self.max_steps, kind="checkpointed"
-        )
+        fixed = self, scene, jnp.asarray(t1)
+        count, code, a = loop(_unfinished, _attempted, first, fixed, self.max_steps)
         start, end, info = a.dense
         inside = jnp.where(
             end > start, end, start + 1
@@ -203,6 +200,23 @@ class AdaptiveSteps(eqx.Module):
             y = project(scene, y)
         y = jax.tree.map(lambda y: jnp.where(code == 0, y, jnp.nan), y)
         return Carry(y, carry.steps + count, code, a)
+
+
+_Turn = tuple[Array, Array, _Adaptive]
+_Fixed = tuple[AdaptiveSteps, Scene, Array]
+
+
+def _unfinished(turn: _Turn, fixed: _Fixed) -> Array:
+    _, code, a = turn
+    return (a.previous < fixed[2]) & (code == 0)
+
+
+def _attempted(turn: _Turn, fixed: _Fixed) -> _Turn:
+    count, code, a = turn
+    stepper, scene, t1 = fixed
+    code, a = stepper.attempt(scene, code, a)
+    many = (count + 1 >= stepper.max_steps) & (a.previous < t1)
+    return count + 1, jnp.where(many, 1, code), a
 
 
 def substeps_for(scene: Scene, ts: Any, step: float | None = None) -> int:
@@ -216,4 +230,6 @@ def substeps_for(scene: Scene, ts: Any, step: float | None = None) -> int:
             "Argument `substeps` must be given, but it is None and the scene has no bending rigidity "
             "from which a time step would follow."
         )
-    return max(1, int(np.ceil(float(np.max(np.diff(ts))) / limit * (1 - 1e-9))))
+    steps = max(1, int(np.ceil(float(np.max(np.diff(ts))) / limit * (1 - 1e-9))))
+    block = int(np.sqrt(steps))  # a number that `FixedSteps` can cut into blocks
+    return -(-steps // block) * block

@@ -1,0 +1,212 @@
+"""Periodic motions by root finding: the limit cycle of a swimmer or of a beating filament."""
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float
+
+from ._checks import fail, known, positive, whole
+from .dynamics import Time
+from .geometry import normals
+from .rollout import default_solver, rollout
+from .scene import Scene, check
+from .state import State
+from .steady import Outcome, Shape, or_nothing, root
+
+
+class PeriodicState(eqx.Module):
+    """A state to whose shape the motion returns after a period; the whole may have moved and turned.
+
+    - `state`, at the start of the period.
+    - `displacement`: of the mean of all beads in a period [length], `(dim,)`.
+    - `rotation`: of the whole in a period: the matrix that turns the first shape into the last,
+      `(dim, dim)`.
+    - `converged`: whether it was found; if not, the other numbers are NaN.
+    - `jacobian`: derivatives of what a period changes in the shape's coordinates by them.
+    """
+
+    state: State
+    displacement: Float[Array, " dim"]
+    rotation: Float[Array, "dim dim"]
+    converged: Bool[Array, ""]
+    jacobian: Float[Array, "numbers numbers"]
+
+    @property
+    def multipliers(self) -> np.ndarray:
+        """Floquet multipliers, by which small disturbances grow in a period, complex, largest first:
+        the motion is stable if none is larger than 1. A turn that makes no difference has 1. A host
+        function."""
+        values = 1 + np.linalg.eigvals(np.asarray(self.jacobian)).astype(complex)
+        return values[np.argsort(-np.abs(values))]
+
+    @property
+    def turn(self) -> float:
+        """Angle of the rotation [rad], signed in the plane (anticlockwise positive). A host function."""
+        r = np.asarray(self.rotation)
+        if len(r) == 2:
+            return float(np.arctan2(r[1, 0], r[0, 0]))
+        axis = np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]])
+        return float(np.arctan2(np.linalg.norm(axis), np.trace(r) - 1))
+
+
+def periodic_state(
+    scene: Scene,
+    state: State,
+    period: Time,
+    *,
+    t: Time = 0.0,
+    moving: bool = True,
+    turning: bool = True,
+    solver: diffrax.AbstractSolver | None = None,
+    substeps: int = 200,
+    accuracy: float = 1e-8,
+    max_steps: int = 20,
+) -> PeriodicState:
+    """The periodic motion near a state of a driven scene, by Newton shooting.
+
+    Sought is a shape to which the scene returns after one period. Each step of Newton's method follows
+    that period from two displaced starts for each coordinate of the shape, all at once. No transient is
+    stepped through, and none is differentiated: derivatives, in both modes, follow from the implicit
+    function theorem. A start within a period or two of the limit is near enough in most scenes.
+
+    **Arguments**
+
+    - `scene`, `state`: the model, and a guess; `period` of its drive [time]; `t`: when it starts.
+    - `moving`: the shape may move as a whole, which makes no difference; false for a held filament.
+    - `turning`: the same of turns; false where weight or a flow set a direction, or a bead is held.
+    - `solver`, and `substeps`: equal steps in the period; by default the scene's own solver. Take twice
+      as many to see the error.
+    - `accuracy`: of the last correction, in radians and lengths of the fibre.
+    - `max_steps` of Newton's method that are tried.
+
+    **Returns** a `PeriodicState`. **Raises** `ValueError` for input that does not fit, `RuntimeError` if
+    none is found (under `jit`, which cannot raise, `converged` is false and the numbers are NaN).
+    """
+    check(scene, state)
+    positive("period", period)
+    positive("accuracy", accuracy)
+    whole("max_steps", max_steps, 1)
+    if turning and not moving:
+        fail("turning", "be False for a shape that does not move", "it is True")
+    ts = jnp.stack([jnp.asarray(t, float), jnp.asarray(t, float) + period])
+    whole("substeps", substeps, 1)
+    solver = default_solver(scene) if solver is None else solver
+    found = _solve(
+        scene, state, ts, moving, turning, solver, substeps, jnp.asarray(accuracy), max_steps
+    )
+    if known(found) and not bool(found.converged):
+        raise RuntimeError(
+            f"No periodic state was found in {max_steps} steps from this start: give one that is "
+            "nearer, as the end of a `rollout` over a few periods, or loosen `accuracy`."
+        )
+    return found
+
+
+class _Figure(eqx.Module):
+    """What makes a shape: points of which only differences count, and vectors."""
+
+    points: Array
+    vectors: Array
+    loose: Array  # vectors of any length
+
+    def turned(self, matrix: Array) -> "_Figure":
+        points = self.points - self.points[:1]
+        return _Figure(points @ matrix, self.vectors @ matrix, self.loose @ matrix)
+
+    def coordinates(self, shape: Shape, moving: bool) -> Array:
+        """As changes of the shape's coordinates."""
+        directions, points = shape.chart.direction, self.points
+        parts = [(points - points[:1] if moving else points).ravel()]
+        if directions is not None:
+            parts.append(jnp.einsum("rd,rnd->rn", self.vectors, normals(directions)).ravel())
+        return shape.drop(jnp.concatenate([*parts, self.loose.ravel()]))
+
+
+def _figure(shape: Shape, state: State) -> _Figure:
+    chart, dim = shape.chart, state.position.shape[1]
+    none = jnp.zeros((0, dim), state.position.dtype)
+    loose = none if state.director is None else state.director
+    if chart.constraint is None:
+        return _Figure(state.position, none, loose)
+    directions = chart.constraint.directions(state, chart.chain)
+    loose = none if chart.constraint.oriented else loose
+    return _Figure(chart.places(state.position), directions, loose)
+
+
+def _rotation(first: _Figure, last: _Figure) -> Array:
+    """The rotation R by which the rows of the first figure, times R, lie best on those of the last."""
+
+    def rows(figure: _Figure) -> Array:
+        points = figure.points - figure.points.mean(axis=0, keepdims=True)
+        size = jnp.max(jnp.abs(points))
+        points = points / jnp.where(size > 0, size, 1.0)
+        return jnp.concatenate([points, figure.vectors, figure.loose])
+
+    u, _, v = jnp.linalg.svd(rows(first).T @ rows(last))
+    sign = jnp.linalg.det(u @ v)
+    return (u.at[:, -1].multiply(sign)) @ v
+
+
+def _generators(dim: int) -> np.ndarray:
+    """Antisymmetric matrices: the directions in which one may turn."""
+    pairs = [(i, j) for i in range(dim) for j in range(i)]
+    matrices = np.zeros((len(pairs), dim, dim))
+    for matrix, (i, j) in zip(matrices, pairs, strict=True):
+        matrix[i, j], matrix[j, i] = 1, -1
+    return matrices
+
+
+@eqx.filter_jit
+def _solve(
+    scene: Scene,
+    start: State,
+    ts: Array,
+    moving: bool,
+    turning: bool,
+    solver: diffrax.AbstractSolver,
+    substeps: int,
+    accuracy: Array,
+    max_steps: int,
+) -> PeriodicState:
+    dim = start.position.shape[1]
+
+    def system(shape: Shape, y: Array, scene: Scene) -> Outcome:
+        """The change of the shape in a period; displacement and rotation of the whole."""
+        state = shape.state(y)
+        after = rollout(scene, state, ts, solver=solver, substeps=substeps).final
+        displacement = jnp.mean(after.position - state.position, axis=0)
+        first, last = _figure(shape, state), _figure(shape, after)
+        if not turning:
+            apart = jax.tree.map(jnp.subtract, last, first).coordinates(shape, moving)
+            return apart, jnp.concatenate([displacement, jnp.eye(dim).ravel()])
+        back = _rotation(lax.stop_gradient(last), lax.stop_gradient(first))
+        first, last = first.turned(jnp.eye(dim)), last.turned(back)
+        apart = jax.tree.map(jnp.subtract, last, first).coordinates(shape, moving)
+        # What is left of a turn, apart = sum of c_k (first turned by W_k), does not count.
+        still, generators = lax.stop_gradient(first), jnp.asarray(_generators(dim))
+        basis = jax.vmap(lambda w: still.turned(w).coordinates(shape, moving), out_axes=1)(
+            generators
+        )
+        left = jnp.linalg.pinv(basis) @ apart
+        rotation = back @ (jnp.eye(dim) - jnp.einsum("k,kij->ij", left, generators))
+        return apart - basis @ left, jnp.concatenate([displacement, rotation.ravel()])
+
+    def linear(shape: Shape, scene: Scene) -> tuple[Outcome, Outcome]:
+        # Central differences of equal steps, which are smooth: a program of tangents takes minutes to
+        # compile, and is not faster.
+        count, dtype = len(shape.origin), shape.origin.dtype
+        small = float(jnp.finfo(dtype).eps) ** (1 / 3)
+        units = small * jnp.eye(count, dtype=dtype)
+        at = jnp.concatenate([shape.origin[None], units, -units])
+        found = jax.vmap(lambda y: system(shape, y, scene))(at)
+        slopes = jax.tree.map(lambda x: (x[1 : count + 1] - x[count + 1 :]).T / (2 * small), found)
+        return jax.tree.map(lambda x: x[0], found), slopes
+
+    state, sought, found, jacobian = root(
+        system, linear, scene, start, moving, accuracy, max_steps, neutral=1e-6
+    )
+    displacement, rotation = sought[:dim], sought[dim:].reshape(dim, dim)
+    return or_nothing(found, PeriodicState(state, displacement, rotation, found, jacobian))
