@@ -23,6 +23,8 @@ from .chain import from_directors as from_directors
 from .chain import from_tangents as from_tangents
 from .chain import straight as straight
 from .files import load as load
+from .optimise import Optimum as Optimum
+from .optimise import optimise as optimise
 from .periodic import PeriodicState as PeriodicState
 from .periodic import periodic_state as periodic_state
 from .rollout import Solution as Solution
@@ -38,3 +40,4 @@ from .state import Motion as Motion
 from .state import State as State
 from .steady import SteadyState as SteadyState
 from .steady import steady_state as steady_state
+from .vary import vary as vary
