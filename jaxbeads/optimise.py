@@ -180,9 +180,10 @@ def optimise(
     step, correct, values = over(problem.step), over(problem.correct), over(problem.values)
     walk = over(problem.begin)(over(problem.free)(start))
     rows: list[list[Any]] = []
+    number = jax.tree.leaves(start)[0].shape[:1] if many else ()
+    best, least = walk.z, jnp.full(number, jnp.inf)
     if file is not None and Path(file).exists():
-        walk, rows = _read(file, walk)
-    best, least = walk.z, None
+        (walk, best, least), rows = _read(file, (walk, best, least))
     status, begun = f"took all {steps} steps", time.perf_counter() - (rows[-1][3] if rows else 0.0)
     from tqdm.auto import tqdm
 
@@ -195,30 +196,31 @@ def optimise(
                     status = f"stopped: the loss is not finite at step {len(rows)}"
                     break
                 rows.append([value, norm, off, np.asarray(time.perf_counter() - begun)])
-                better = np.ones_like(value, bool) if least is None or constraint else value < least
-                least = value if least is None else np.where(better, value, least)
+                better = (value < least) | (constraint is not None)
+                least = jnp.where(better, value, least)
                 best = _pick(better, walk.z, best)
                 walk = after
                 if constraint is not None and len(rows) % _ROUND == 0:
                     walk = correct(walk)
                 if file is not None:
-                    _write(file, walk, rows)
+                    _write(file, (walk, best, least), rows)
                 bar.update()
-                bar.set_postfix(loss=f"{np.nanmin(value):.4g}")
+                bar.set_postfix(loss=f"{value.min():.4g}")
                 if constraint is None and np.all(norm < gradient_tolerance):
                     status = "the gradient vanishes"
                     break
     except KeyboardInterrupt:
         status = "interrupted"
-    columns = [np.stack([row[k] for row in rows]) if rows else np.zeros(0) for k in range(4)]
-    final = values(best)
+    losses, norms, off, seconds = (np.array([row[k] for row in rows]) for k in range(4))
     each = over(
         lambda z: (
             problem.loss(problem.values(z)),
             jnp.max(jnp.abs(problem.violation(z)), initial=0.0),
         )
     )
-    return Optimum(final, *each(best), History(*columns), status)
+    last, violation = each(best)
+    history = History(losses, norms, off, seconds)
+    return Optimum(values(best), last, violation, history, status)
 
 
 def _pick(better: Any, new: PyTree, old: PyTree) -> PyTree:
@@ -251,17 +253,17 @@ def _bounds(start: PyTree, bounds: tuple[Any, Any] | None, many: bool) -> tuple[
     return trees[0], trees[1]
 
 
-def _write(file: str | Path, walk: _Walk, rows: list[list[Any]]) -> None:
+def _write(file: str | Path, walk: Any, rows: list[list[Any]]) -> None:
     """Where it stands; a file is whole at any time."""
-    leaves = {f"leaf{k}": np.asarray(x) for k, x in enumerate(jax.tree.leaves(walk))}
-    columns = {f"row{k}": np.stack([row[k] for row in rows]) for k in range(4)}
+    parts: dict[str, Any] = {f"leaf{k}": x for k, x in enumerate(jax.tree.leaves(walk))}
+    parts |= {f"row{k}": np.stack([row[k] for row in rows]) for k in range(4)}
     part = Path(f"{file}.part")
     with part.open("wb") as handle:
-        np.savez(handle, **leaves, **columns)
+        np.savez(handle, **parts)
     os.replace(part, file)
 
 
-def _read(file: str | Path, like: _Walk) -> tuple[_Walk, list[list[Any]]]:
+def _read(file: str | Path, like: Any) -> tuple[Any, list[list[Any]]]:
     leaves, tree = jax.tree.flatten(like)
     try:
         with np.load(file) as data:
