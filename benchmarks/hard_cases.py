@@ -31,11 +31,10 @@ from speed_against_error import distance, settling
 
 import jaxbeads as jb
 from jaxbeads import scenes
-from jaxbeads.actuation import TravellingWave
 from jaxbeads.constraint import Gears
 from jaxbeads.coordinates import coordinates
 from jaxbeads.flow import Extension, Shear
-from jaxbeads.force import Bending, Contact, Weight
+from jaxbeads.force import Bending, Contact
 
 jax.config.update("jax_enable_x64", True)
 
@@ -230,16 +229,6 @@ def long_steps(solver: diffrax.AbstractSolver, multiple: float) -> Run:
     return run._replace(options={"solver": solver, "substeps": count})
 
 
-def worm_in_space() -> Run:
-    """A spatial active fibre whose wave is in the plane: rounding must not turn it out of it."""
-    chain = jb.Chain(1.0, 12)
-    wave = TravellingWave(0.2, 2 * np.pi / 24, 1.0)
-    scene = jb.Scene(
-        chain, 1.0, constraints=[Gears()], forces=[Bending(5e3, wave), Weight([0, 0, -9.0])]
-    )
-    return Run(scene, jb.straight(chain, [1.0, 0.0, 0.0]), steps(3.0, 60))
-
-
 CASES: dict[str, Callable[[], Run]] = {
     "shear, bending ratio 0.001": flexible_shear,
     "settling, B = 10^5": lambda: softest(False),
@@ -259,7 +248,6 @@ CASES: dict[str, Callable[[], Run]] = {
     "planar beating, Sp = 20": lambda: beating(20.0),
     "nematode, no actuation": lambda: nematode(0.0),
     "nematode, 20 times the curvature": lambda: nematode(20.0),
-    "spatial worm, weight across its plane": worm_in_space,
     "float32, N = 10": lambda: single(10, 1e-4),
     "float32, N = 34": lambda: single(34, 1e-4),
     "float32, tolerance 1e-6": lambda: single(10, 1e-6),
