@@ -6,8 +6,9 @@ Each case is run with `simulate`, by default with the solver and the tolerance (
 by itself. A run that reaches its end is compared with a reference: that with a tolerance of 1e-9, or
 what the line says. Where neighbouring paths part, no solver can do better than what a displacement of
 the start does: `start` is how far the reference moves if every bond is first turned by random angles of
-the size of the tolerance. A result counts as right if its error is at most 100 times the tolerance or 20
-times that; errors add up, so that the path of 100 orbits is allowed 2000 times the tolerance.
+the size of the tolerance. A result counts as right if its error is at most the
+number of steps times the tolerance of a step (0.01 L where the steps are equal and have no tolerance), or
+20 times that displacement.
 
 - error, start: largest distance of a bead from the reference at any saved time, over L.
 - bonds: largest relative error of a bond length.
@@ -19,7 +20,8 @@ import argparse
 import json
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import diffrax
@@ -45,13 +47,11 @@ class Run(NamedTuple):
     scene: jb.Scene
     state: jb.State
     ts: np.ndarray
-    options: dict[str, Any] = {}  # noqa: RUF012 (read only)
+    options: Mapping[str, Any] = MappingProxyType({})
     reference: Callable[["Run"], jb.State] | None = None
     """States that stand for the exact ones; by default those with a tolerance of 1e-9."""
     note: Callable[["Run", jb.Solution], str] | None = None
     """What else is to be seen."""
-    allowed: float = 100.0
-    """Error over the tolerance."""
 
     @property
     def tolerance(self) -> float:
@@ -179,7 +179,7 @@ def orbits() -> Run:
     scene = jb.Scene(
         case.scene.chain, 1.0, constraints=[Gears()], forces=[Bending(1e5)], flow=Shear(1.0)
     )
-    return Run(scene, case.state, np.linspace(0, 100 * 31.876, 2001), note=turns, allowed=2e3)
+    return Run(scene, case.state, np.linspace(0, 100 * 31.876, 2001), note=turns)
 
 
 def turns(run: Run, solution: jb.Solution) -> str:
@@ -226,8 +226,7 @@ def long_steps(solver: diffrax.AbstractSolver, multiple: float) -> Run:
     run = falling(34, 1e3)
     step = multiple * float(jb.solver.explicit_step(run.scene))
     count = int(np.ceil(run.ts[1] / step))
-    # Equal steps have no tolerance: what counts as right is an error that a picture does not show.
-    return run._replace(options={"solver": solver, "substeps": count}, allowed=1e4)
+    return run._replace(options={"solver": solver, "substeps": count})
 
 
 CASES: dict[str, Callable[[], Run]] = {
@@ -316,12 +315,14 @@ def outcome(run: Run) -> Outcome:
     start = None
     if run.reference is None:
         start = distance(path, exact(run, displaced(run)), reference)
-    right = error <= max(run.allowed * run.tolerance, 20 * (start or 0.0))
+    steps = int(solution.steps)
+    allowed = 0.01 if "substeps" in run.options else steps * run.tolerance
+    right = error <= max(allowed, 20 * (start or 0.0))
     notes = [str(w.message) for w in caught]
     if run.note is not None:
         notes.insert(0, run.note(run, solution))
     bond = float(np.max(solution.bond_length_error))
-    return Outcome(True, right, error, start, bond, int(solution.steps), wall, " ".join(notes))
+    return Outcome(True, right, error, start, bond, steps, wall, " ".join(notes))
 
 
 class Path(NamedTuple):

@@ -31,15 +31,21 @@ def loop(
     return _loop(start, fixed, unfinished=unfinished, body=body, most=most)
 
 
-@eqx.filter_custom_jvp
-def _loop(start: PyTree, fixed: PyTree, *, unfinished: Any, body: Any, most: int) -> PyTree:
+def _while(
+    start: PyTree, fixed: PyTree, unfinished: Any, body: Any, most: int, kind: Any
+) -> PyTree:
     return eqxi.while_loop(
         lambda carry: unfinished(carry, fixed),
         lambda carry: body(carry, fixed),
         start,
         max_steps=most,
-        kind="lax",
+        kind=kind,
     )
+
+
+@eqx.filter_custom_jvp
+def _loop(start: PyTree, fixed: PyTree, *, unfinished: Any, body: Any, most: int) -> PyTree:
+    return _while(start, fixed, unfinished, body, most, "lax")
 
 
 @_loop.def_jvp
@@ -59,13 +65,7 @@ def _loop_jvp(primals: Any, tangents: Any, *, unfinished: Any, body: Any, most: 
     def end(numbers: PyTree, kind: Any) -> PyTree:
         """The numbers in the last carry."""
         start, fixed = eqx.combine(numbers, rest)
-        last = eqxi.while_loop(
-            lambda carry: unfinished(carry, fixed),
-            lambda carry: body(carry, fixed),
-            start,
-            max_steps=most,
-            kind=kind,
-        )
+        last = _while(start, fixed, unfinished, body, most, kind)
         return eqx.filter(last, eqx.is_inexact_array)
 
     result = _loop(*primals, unfinished=unfinished, body=body, most=most)

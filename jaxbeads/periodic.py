@@ -195,8 +195,8 @@ def _solve(
         return apart - basis @ left, jnp.concatenate([displacement, rotation.ravel()])
 
     def linear(shape: Shape, scene: Scene) -> tuple[Outcome, Outcome]:
-        # Central differences of equal steps, which are smooth: a program of tangents takes minutes to
-        # compile, and is not faster.
+        # Central differences of equal steps, which are smooth: a program of tangents takes more than
+        # twice as long to compile.
         count, dtype = len(shape.origin), shape.origin.dtype
         small = float(jnp.finfo(dtype).eps) ** (1 / 3)
         units = small * jnp.eye(count, dtype=dtype)

@@ -113,9 +113,8 @@ def root(
     """The shape at which a residual vanishes, by Newton's method.
 
     No bond turns by more than half a radian in a step. Singular values below `neutral` times the largest
-    count as zero. Derivatives by the scene follow from the implicit
-    function theorem. **Returns** the state, what else is sought, whether it was found, and the Jacobian
-    of the residual.
+    count as zero. Derivatives by the scene follow from the implicit function theorem. **Returns** the
+    state, what else is sought, whether it was found, and the Jacobian of the residual.
     """
     frozen = lax.stop_gradient(scene)
 

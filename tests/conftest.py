@@ -5,19 +5,21 @@ import os
 import shutil
 import tempfile
 
-# Compiling is most of the work. Workers and notebooks share what one of them has compiled, and the
-# compiler does not optimise what runs but once. (Before JAX is imported.)
-_OWN = "JAX_COMPILATION_CACHE_DIR" not in os.environ
+import equinox as eqx
+import jax
+import pytest
+from jaxtyping import install_import_hook
+
+# Compiling is most of the work. Workers and notebooks share what one of them has compiled (they inherit
+# the environment), and the compiler does not optimise what runs but once.
+_CACHE = "JAX_COMPILATION_CACHE_DIR"
+_OWN = _CACHE not in os.environ
 if _OWN:
-    os.environ["JAX_COMPILATION_CACHE_DIR"] = tempfile.mkdtemp(prefix="jaxbeads-tests-")
+    os.environ[_CACHE] = tempfile.mkdtemp(prefix="jaxbeads-tests-")
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "1")
 os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
 
-import equinox as eqx  # noqa: E402
-import jax  # noqa: E402
-import pytest  # noqa: E402
-from jaxtyping import install_import_hook  # noqa: E402
-
+jax.config.update("jax_compilation_cache_dir", os.environ[_CACHE])
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
@@ -33,7 +35,7 @@ def pytest_collection_modifyitems(items):
 def pytest_unconfigure():
     """Remove the shared programs at the end; workers find the folder set."""
     if _OWN:
-        shutil.rmtree(os.environ["JAX_COMPILATION_CACHE_DIR"], ignore_errors=True)
+        shutil.rmtree(os.environ[_CACHE], ignore_errors=True)
 
 
 @pytest.fixture(autouse=True, scope="module")
