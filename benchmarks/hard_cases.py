@@ -6,9 +6,9 @@ Each case is run with `simulate`, by default with the solver and the tolerance (
 by itself. A run that reaches its end is compared with a reference: that with a tolerance of 1e-9, or
 what the line says. Where neighbouring paths part, no solver can do better than what a displacement of
 the start does: `start` is how far the reference moves if every bond is first turned by random angles of
-the size of the tolerance. A result counts as right if its error is at most the
-number of steps times the tolerance of a step (0.01 L where the steps are equal and have no tolerance), or
-20 times that displacement.
+the size of the tolerance. A result counts as right if its error is at most
+the number of steps times the tolerance of a step (0.01 L where steps are equal and have no tolerance),
+or 20 times that displacement.
 
 - error, start: largest distance of a bead from the reference at any saved time, over L.
 - bonds: largest relative error of a bond length.
