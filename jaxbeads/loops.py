@@ -26,7 +26,9 @@ def loop(
 
     It has first derivatives by `start` and `fixed` in either mode. Forward, tangents go along with the
     carry. Backward, nothing of the loop is kept but its start: it is run again, with checkpoints whose
-    number grows like the root of `most`. Second derivatives raise an error.
+    number grows like the root of `most`. Rounding may differ between these programs: where it decides
+    on the turns (steps chosen by errors not far above rounding), derivatives are as exact as that leaves
+    them. Second derivatives raise an error.
     """
     return _loop(start, fixed, unfinished=unfinished, body=body, most=most)
 

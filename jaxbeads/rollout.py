@@ -1,5 +1,6 @@
 """`rollout`: a trajectory as a pure function, through which `jit`, `vmap` and `grad` go."""
 
+import dataclasses
 from typing import Any
 
 import diffrax
@@ -90,6 +91,7 @@ def stepper_for(
         solver = default_solver(scene) if substeps is None else AB3()
     if not isinstance(solver, diffrax.AbstractSolver):
         fail("solver", "be a diffrax solver object, as AB3()", f"it is {solver!r}")
+    solver = _both_modes(solver)
     whole("max_steps", max_steps, 1)
     if tolerance is not None:
         controller = _controller(scene, ts, solver, substeps, controller, tolerance)
@@ -123,6 +125,13 @@ def stepper_for(
         substeps = substeps_for(scene, ts, None)
     whole("substeps", substeps, 1)
     return FixedSteps(solver, substeps, bool(projected))
+
+
+def _both_modes(solver: diffrax.AbstractSolver) -> diffrax.AbstractSolver:
+    """Runge-Kutta stages in a loop that has derivatives in forward mode too, unless it is chosen."""
+    if getattr(solver, "scan_kind", "none") is None:
+        return dataclasses.replace(solver, scan_kind="bounded")
+    return solver
 
 
 def _adaptive(solver: diffrax.AbstractSolver) -> bool:

@@ -12,6 +12,7 @@ from cases import bent, jointed, scene
 import jaxbeads as jb
 from jaxbeads import AB3, Chain, Scene, SimulationError, State, dynamics, rollout, simulate
 from jaxbeads.actuation import PlanarBeat, TravellingWave
+from jaxbeads.breakdown import explain
 from jaxbeads.constraint import (
     Gears,
     Inextensible,
@@ -236,3 +237,16 @@ def test_a_step_that_fails_is_made_smaller():
         simulate(model, bent(chain), np.linspace(0.0, 400.0, 5), progress=False)
     assert "Loosen `tolerance`" in str(caught.value)
     assert caught.value.cause.time > 0
+
+
+def test_beads_that_pass_through_one_another_are_named():
+    # A hairpin whose arms overlap: the message names the beads, and the remedy unless it is there.
+    chain = Chain(1.0, 5)
+    turn = np.array([0.0, 0.3, 2.8, 3.1])
+    state = State(jb.from_tangents(chain, np.stack([np.cos(turn), np.sin(turn)], axis=1)))
+    bare = Scene(chain, 1.0, constraints=[Gears()], forces=[Bending(1.0)])
+    held = Scene(chain, 1.0, constraints=[Gears()], forces=[Bending(1.0), Contact(1.0, 0.1, 0.1)])
+    told = explain(bare, state, 0.0, 0, None).message
+    assert "The smallest gap is -" in told and "`Contact` keeps beads apart" in told
+    assert "`Contact` keeps beads apart" not in explain(held, state, 0.0, 0, None).message
+    assert "pass through" not in explain(bare, bent(chain), 0.0, 0, None).message
