@@ -13,6 +13,7 @@ from . import force as force
 from . import geometry as geometry
 from . import mobility as mobility
 from . import numbers as numbers
+from . import objectives as objectives
 from . import observables as observables
 from . import scenes as scenes
 from . import solver as solver

@@ -31,12 +31,11 @@ import jax
 
 jax.config.update("jax_enable_x64", True)
 import equinox as eqx
-import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 
+import jaxbeads as jb
 from jaxbeads import scenes
-from jaxbeads.dynamics import constraint_load
 from jaxbeads.observables import rigid_resistance
 from jaxbeads.scenes import last_period, lateral_harmonic
 
@@ -100,12 +99,14 @@ s = np.linspace(0, 1, 101)
 colours = plt.colormaps["viridis"](np.arange(8) / 8)
 figure, axes = plt.subplots(1, 3, figsize=(11, 4), layout="constrained", sharey=True)
 for ax, sperm_number in zip(axes, (1.73, 2.2, 3.11), strict=True):
-    times, states = last_period(planar[16][sperm_number][1])
+    period = last_period(planar[16][sperm_number][1])
     wave = linear_theory(sperm_number, s)[0]
     for k, colour in zip(range(0, 40, 5), colours, strict=True):
-        x, y = np.asarray(states.position[k]).T / length
+        x, y = np.asarray(period.states.position[k]).T / length
         ax.plot(x, y, color=colour, label=f"$t/T = {k / 40:.3f}$")
-        ax.plot(s, amplitude * np.imag(wave * np.exp(1j * times[k])), "--", color=colour, lw=0.9)
+        ax.plot(
+            s, amplitude * np.imag(wave * np.exp(1j * period.ts[k])), "--", color=colour, lw=0.9
+        )
     ax.set(aspect="equal", xlabel="$x/L$", xlim=(-0.03, 1.03), ylim=(-0.42, 0.42))
     ax.set_title(f"$Sp = {sperm_number}$", fontsize=10)
 axes[0].set_ylabel("$y/L$")
@@ -157,7 +158,7 @@ small_differences = compare(10, 2.2, *small[2.2], amplitude=0.05)
 # has $(\gamma_\perp - \gamma_\parallel)\, \zeta\, (\alpha_0 L)^2 g(Sp)/L$, with $g$ the mean of
 # $-y_t y_s$ along the filament: zero for a rigid one (a reciprocal motion), largest at a
 # moderate $Sp$. It is measured as the mean of the holding force, that of all constraints on the
-# filament; `scenes.thrust` does the same for one run. $\gamma_\perp$ and $\gamma_\parallel$ are those of the rigid chain of the same beads.
+# filament (`objectives.thrust`). $\gamma_\perp$ and $\gamma_\parallel$ are those of the rigid chain of the same beads.
 
 
 # %%
@@ -176,17 +177,10 @@ drag = rigid_resistance(case.state.position, case.scene.chain)
 scale = float(drag[1, 1] - drag[0, 0]) * amplitude**2 * float(case.scene.chain.length[0])
 
 
-@eqx.filter_jit
-def holding_force(scene, times, states):
-    """Force of the constraints along x, at each time."""
-    return jax.lax.map(lambda at: jnp.sum(constraint_load(*at, scene).force[:, 0]), (times, states))
-
-
+thrust = eqx.filter_jit(lambda period, scene: jb.objectives.thrust(period, scene, [-1.0, 0.0]))
 measured = {}
 for number, (case, run) in planar[10].items():
-    times, states = last_period(run)
-    forces = holding_force(case.scene, jnp.asarray(times), states)
-    measured[number] = float(jnp.mean(forces[:-1])) / scale
+    measured[number] = float(thrust(last_period(run), case.scene)) / scale
 for number, value in measured.items():
     print(f"Sp = {number:4g}: g = {value:.5f}, linear theory {theory_thrust(number):.5f}")
 top = sorted(measured, key=measured.get)[-3:]
@@ -229,7 +223,7 @@ for fourth_powers in ((0.8, 4.0), (10.0, 17.0, 30.0, 50.0, 100.0, 250.0, 600.0))
 
 def tip_distance(run):
     """Distance of the last bead from the axis over L, at each time of the last period."""
-    position = np.asarray(last_period(run)[1].position)
+    position = np.asarray(last_period(run).states.position)
     return np.linalg.norm(position[:-1, -1, 1:], axis=1) / length
 
 
@@ -268,7 +262,7 @@ ax.legend(frameon=False)
 colours = plt.colormaps["viridis"](np.linspace(0, 1, 20))
 for column, power in enumerate((0.8, 30.0, 250.0), start=1):
     along, across = figure.add_subplot(grid[0, column]), figure.add_subplot(grid[1, column])
-    shapes = np.asarray(last_period(helical[power][1])[1].position)[:-1:2] / length
+    shapes = np.asarray(last_period(helical[power][1]).states.position)[:-1:2] / length
     for shape, colour in zip(shapes, colours, strict=True):
         along.plot(shape[:, 1], shape[:, 2], color=colour, lw=1)
         across.plot(shape[:, 0], shape[:, 1], color=colour, lw=1)

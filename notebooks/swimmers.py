@@ -63,8 +63,7 @@ x = np.asarray(worm.states.position) / length
 centre = x.mean(axis=1)
 step = centre[-1] - centre[-1 - SAMPLES]  # of the last period
 speed = np.linalg.norm(step)
-power = scenes.mean_power(nematode.scene, worm)
-efficiency = float(jb.observables.swimming_efficiency(speed * length, power, nematode.scene))
+efficiency = float(jb.objectives.efficiency(scenes.last_period(worm), nematode.scene))
 ahead = np.mean(x[-SAMPLES:, 0] - x[-SAMPLES:, -1], axis=0)  # from tail to head
 head_first = step @ ahead / (speed * np.linalg.norm(ahead))
 checks.append(("nematode: V/(fL), 15 beads", speed, 0.0746, 1e-4))
@@ -108,7 +107,7 @@ for beads in numbers:
     case = scenes.nematode(beads)
     case = case._replace(ts=case.ts[: 2 * SAMPLES + 1], until=None)
     run = worm if beads == 15 else case.simulate(progress=False)
-    speeds.append(scenes.swimming_speed(run) / (2 * beads))
+    speeds.append(float(jb.objectives.distance(scenes.last_period(run))) / (2 * beads))
 second = np.linalg.norm(centre[2 * SAMPLES] - centre[SAMPLES])
 checks.append(("... in the second period", second, speed, 1e-5))
 print({n: round(v, 5) for n, v in zip(numbers, speeds, strict=True)})
@@ -209,10 +208,9 @@ plt.show()
 
 # %%
 @eqx.filter_jit
-def mean_spins(ts, states, scene):
-    """Mean spin of the beads at each time."""
-    spin = jax.vmap(lambda t, state: jb.dynamics.motion(t, state, scene).spin)(ts, states)
-    return spin.mean(axis=1)
+def mean_spin(period, scene):
+    """Mean spin of the beads over a period."""
+    return jb.objectives.mean_over_time(jb.dynamics.motion, period, scene).spin.mean(axis=0)
 
 
 def spiral(frequency, handed=1):
@@ -222,8 +220,8 @@ def spiral(frequency, handed=1):
     scene = eqx.tree_at(lambda s: s.forces[0].intrinsic_curvature.second.phase, case.scene, phase)
     case = case._replace(scene=scene)
     run = case.simulate(progress=False)
-    ts, states = scenes.last_period(run)
-    position = np.asarray(states.position)
+    period = scenes.last_period(run)
+    position = np.asarray(period.states.position)
     step = position[-1].mean(axis=0) - position[0].mean(axis=0)
     speed = np.linalg.norm(step)
     # The angle through which the tail circles about the axis.
@@ -231,7 +229,7 @@ def spiral(frequency, handed=1):
     arm = arm - np.outer(arm @ step, step) / speed**2
     sine = np.cross(arm[:-1], arm[1:]) @ step / speed
     turns = np.sum(np.arctan2(sine, np.sum(arm[:-1] * arm[1:], axis=1))) / (2 * np.pi)
-    spin = np.asarray(mean_spins(jnp.asarray(ts), states, case.scene))[:-1].mean(axis=0)
+    spin = np.asarray(mean_spin(period, case.scene))
     rotation = np.sign(turns) * (spin @ step) / speed / (2 * np.pi)
     return run, speed / float(case.scene.chain.length[0]), rotation, turns
 

@@ -13,7 +13,18 @@ import numpy as np
 import pytest
 
 import jaxbeads as jb
-from jaxbeads import Chain, Scene, State, dynamics, numbers, observables, scenes, simulate, straight
+from jaxbeads import (
+    Chain,
+    Scene,
+    State,
+    dynamics,
+    numbers,
+    objectives,
+    observables,
+    scenes,
+    simulate,
+    straight,
+)
 from jaxbeads.constraint import EqualSpins, Gears, PrescribedLengths
 from jaxbeads.flow import Shear
 from jaxbeads.force import Bending
@@ -257,8 +268,9 @@ def test_power_is_the_dissipation_and_the_work_of_the_active_torques():
     # K_b kappa_0 dphi/dt summed over joints, found from the shapes alone.
     case = scenes.nematode(10)
     run = case.simulate(progress=False)
-    ts, states = scenes.last_period(run)
-    mean = scenes.mean_power(case.scene, run)
+    period = scenes.last_period(run)
+    ts, states = np.asarray(period.ts), period.states
+    mean = float(objectives.mean_power(period, case.scene))
     (bending,) = case.scene.forces
     chain = case.scene.chain
     s, length = chain.arclength[1:-1], jnp.full(8, chain.length[0])

@@ -24,7 +24,7 @@ ORDER = [
     {"linearise", "observables"},
     {"solver", "steady"},
     {"rollout"},
-    {"breakdown", "files", "periodic"},
+    {"breakdown", "files", "objectives", "periodic"},
     {"simulate"},
     {"scenes", "plot"},
     {"__main__"},

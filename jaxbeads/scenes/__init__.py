@@ -11,13 +11,11 @@ from .beating import HELICAL_BEATING, PLANAR_BEATING
 from .beating import helical_beating as helical_beating
 from .beating import lateral_harmonic as lateral_harmonic
 from .beating import planar_beating as planar_beating
-from .beating import thrust as thrust
 from .case import Case as Case
 from .case import ReadyMade as ReadyMade
 from .case import Value as Value
 from .case import last_period as last_period
 from .case import lateral_modes as lateral_modes
-from .case import swimming_speed as swimming_speed
 from .follower_force import FOLLOWER_FORCE
 from .follower_force import follower_force as follower_force
 from .follower_force import growth_rates as growth_rates
@@ -32,7 +30,6 @@ from .models import GearsModel as GearsModel
 from .models import JointModel as JointModel
 from .models import SpringModel as SpringModel
 from .nematode import NEMATODE, NEMATODE_PAIR
-from .nematode import mean_power as mean_power
 from .nematode import nematode as nematode
 from .nematode import nematode_pair as nematode_pair
 from .relaxation import RELAXATION

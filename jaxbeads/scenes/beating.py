@@ -1,5 +1,6 @@
 """Filaments driven at their base, in the plane and about an axis (section 3.4 of the paper)."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -8,18 +9,19 @@ from .._checks import positive, whole
 from ..actuation import HelicalBeat, PlanarBeat
 from ..chain import Chain, straight
 from ..constraint import Gears, PrescribedDirection, PrescribedPosition, PrescribedSpin
-from ..dynamics import constraint_load
 from ..force import Bending
 from ..geometry import norm
 from ..numbers import rigidity_from_sperm_number
+from ..objectives import thrust
 from ..observables import rigid_resistance
 from ..rollout import Solution
 from ..scene import Scene
 from ..state import State
-from .case import SAMPLES, Case, ReadyMade, Value, last_period, over_time, until_periodic
+from .case import SAMPLES, Case, ReadyMade, Value, last_period, until_periodic
 
 _FREQUENCY = 1.0  # zeta; the unit of time
 _MOST_PERIODS = 200
+_thrust = eqx.filter_jit(thrust)
 
 
 def _normal_friction(chain: Chain, viscosity: float) -> Array:
@@ -78,21 +80,15 @@ def planar_beating(
 def lateral_harmonic(solution: Solution, fractions: np.ndarray) -> np.ndarray:
     """First harmonic of the lateral deflection over the last period, y = Im(c exp(i zeta t)): complex c
     [length] at fractions of the distance between the first and the last bead's centres."""
-    ts, states = last_period(solution)
-    y = np.asarray(states.position)[:-1, :, 1]  # the last time is the first of the next period
+    period = last_period(solution)
+    ts = np.asarray(period.ts)
+    y = np.asarray(period.states.position)[
+        :-1, :, 1
+    ]  # the last time is the first of the next period
     beads = y.shape[1]
     at = fractions * (beads - 1)
     y = np.stack([np.interp(at, np.arange(beads), row) for row in y])
     return 2j * np.mean(y * np.exp(-1j * _FREQUENCY * ts[:-1])[:, None], axis=0)
-
-
-def thrust(case: Case, solution: Solution) -> float:
-    """Mean force of the filament on its holder over the last period, against the direction in which the
-    filament extends from it [force]."""
-    ts, states = last_period(solution)
-    loads = over_time(constraint_load, ts, states, case.scene)
-    force = np.asarray(loads.force)[:-1, :, 0]  # the last time is the first of the next period
-    return float(force.sum(axis=1).mean())
 
 
 def _base_angle(case: Case) -> float:
@@ -106,10 +102,12 @@ def _planar(case: Case, solution: Solution) -> dict[str, Value]:
     length = float(chain.length[0])
     c = lateral_harmonic(solution, np.array([0.25, 0.5, 0.75, 1.0]))
     scale = _normal_friction(chain, float(scene.viscosity)) / length * _FREQUENCY
+    # Against the direction in which the filament extends from its holder.
+    push = _thrust(last_period(solution), scene, jnp.array([-1.0, 0.0]))
     return {
         "amplitude": [float(x) for x in np.abs(c) / (alpha * length)],
         "tip_phase": float(np.angle(c[-1])),
-        "thrust": thrust(case, solution) / float(scale * (alpha * length) ** 2),
+        "thrust": float(push / (scale * (alpha * length) ** 2)),
     }
 
 

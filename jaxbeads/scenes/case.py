@@ -84,16 +84,11 @@ SAMPLES = 40
 """Save times in a period of a driven fibre."""
 
 
-def last_period(solution: Solution) -> tuple[np.ndarray, State]:
-    """Times and states of the last period, its start included."""
+def last_period(solution: Solution) -> Solution:
+    """The last period of a driven fibre, its start included."""
     last = slice(-SAMPLES - 1, None)
-    return np.asarray(solution.ts)[last], jax.tree.map(lambda x: x[last], solution.states)
-
-
-@eqx.filter_jit
-def over_time(function: Callable[..., Any], ts: Any, states: State, scene: Scene) -> Any:
-    """`function(t, state, scene)` at each time."""
-    return jax.lax.map(lambda at: function(at[0], at[1], scene), (jnp.asarray(ts), states))
+    times, states = jax.tree.map(lambda x: x[last], (solution.ts, solution.states))
+    return Solution(times, states, solution.steps, solution.code)
 
 
 def shape_changes(solution: Solution) -> float:
@@ -120,13 +115,6 @@ def distance_swum(case: "Case", solution: Solution) -> np.ndarray:
     """Distance of the centre from its start over the first fibre's length."""
     centre = np.asarray(solution.states.position).mean(axis=1)
     return np.linalg.norm(centre - centre[0], axis=1) / float(case.scene.chain.length[0])
-
-
-def swimming_speed(solution: Solution) -> float:
-    """Net displacement of the centre in the last period, per period [length]."""
-    _, states = last_period(solution)
-    centre = np.asarray(states.position).mean(axis=1)
-    return float(np.linalg.norm(centre[-1] - centre[0]))
 
 
 def worm_amplitude(chain: Chain, peak: float) -> Array:

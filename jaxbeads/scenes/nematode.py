@@ -1,5 +1,6 @@
 """Undulating worms (section 3.5 of the paper): one, and two side by side."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -9,7 +10,7 @@ from ..actuation import TravellingWave
 from ..chain import Chain, straight
 from ..constraint import Gears
 from ..force import Bending, Contact
-from ..observables import power, swimming_efficiency
+from ..objectives import efficiency, swimming_speed
 from ..rollout import Solution
 from ..scene import Scene
 from .case import (
@@ -19,8 +20,6 @@ from .case import (
     Value,
     distance_swum,
     last_period,
-    over_time,
-    swimming_speed,
     until_periodic,
     worm_amplitude,
 )
@@ -63,19 +62,14 @@ def nematode(beads: int = 15, *, radius: float = 1.0, viscosity: float = 1.0) ->
     )
 
 
-def mean_power(scene: Scene, solution: Solution) -> float:
-    """Mean of `observables.power` over the last period."""
-    ts, states = last_period(solution)
-    return float(np.mean(np.asarray(over_time(power, ts, states, scene))[:-1]))
+@eqx.filter_jit
+def _swimming(period: Solution, scene: Scene) -> tuple[Array, Array]:
+    return swimming_speed(period, scene, _FREQUENCY), efficiency(period, scene)
 
 
 def _observables(case: Case, solution: Solution) -> dict[str, Value]:
-    scene, speed = case.scene, swimming_speed(solution)
-    mean = mean_power(scene, solution)
-    return {
-        "speed": speed / float(scene.chain.length[0]),
-        "efficiency": float(swimming_efficiency(speed * _FREQUENCY, mean, scene)),
-    }
+    speed, efficient = _swimming(last_period(solution), case.scene)
+    return {"speed": float(speed), "efficiency": float(efficient)}
 
 
 NEMATODE = ReadyMade(

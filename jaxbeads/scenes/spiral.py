@@ -1,5 +1,6 @@
 """Spiral swimmer: two perpendicular waves of curvature in quadrature."""
 
+import equinox as eqx
 import numpy as np
 
 from .._checks import positive, whole
@@ -8,8 +9,10 @@ from ..chain import Chain, straight
 from ..constraint import Gears
 from ..dynamics import motion
 from ..force import Bending
+from ..objectives import displacement, mean_over_time
 from ..rollout import Solution
 from ..scene import Scene
+from ..state import Motion
 from .case import (
     SAMPLES,
     Case,
@@ -17,8 +20,6 @@ from .case import (
     Value,
     distance_swum,
     last_period,
-    over_time,
-    swimming_speed,
     until_periodic,
     worm_amplitude,
 )
@@ -65,16 +66,19 @@ def spiral(
     )
 
 
+@eqx.filter_jit
+def _mean_motion(period: Solution, scene: Scene) -> Motion:
+    return mean_over_time(motion, period, scene)
+
+
 def _observables(case: Case, solution: Solution) -> dict[str, Value]:
     scene = case.scene
-    ts, states = last_period(solution)
-    centre = np.asarray(states.position).mean(axis=1)
-    axis = (centre[-1] - centre[0]) / np.linalg.norm(centre[-1] - centre[0])
-
-    spins = np.asarray(over_time(motion, ts, states, scene).spin).mean(axis=1)
+    period = last_period(solution)
+    moved = np.asarray(displacement(period))
+    spin = np.asarray(_mean_motion(period, scene).spin).mean(axis=0)
     return {
-        "speed": swimming_speed(solution) / float(scene.chain.length[0]),
-        "rotation": float(spins[:-1].mean(axis=0) @ axis) / (2 * np.pi),
+        "speed": float(np.linalg.norm(moved) / scene.chain.length[0]),
+        "rotation": float(spin @ moved / np.linalg.norm(moved)) / (2 * np.pi),
     }
 
 

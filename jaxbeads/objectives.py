@@ -1,0 +1,95 @@
+"""What is optimised: speed, power, efficiency, thrust, distance, and the distance from data.
+
+Pure functions of a trajectory, to be differentiated, batched and compiled. A periodic motion is
+measured over whole periods: give a solution that holds just these, with equal times (a `rollout` from a
+`periodic_state`, or `scenes.last_period`). Means over time are by the trapezoidal rule, which then
+converges faster than any power of the number of times.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float
+
+from .dynamics import constraint_load
+from .geometry import norm
+from .observables import power, swimming_efficiency
+from .rollout import Solution
+from .scene import Scene
+
+__all__ = [
+    "displacement",
+    "distance",
+    "efficiency",
+    "mean_over_time",
+    "mean_power",
+    "shape_error",
+    "swimming_speed",
+    "thrust",
+]
+
+
+def mean_over_time(function: Callable[..., Any], solution: Solution, scene: Scene) -> Any:
+    """Mean of `function(t, state, scene)` over the solution's time: an array or a tree of them."""
+    gaps = jnp.diff(solution.ts)
+    weights = 0.5 * (jnp.pad(gaps, (0, 1)) + jnp.pad(gaps, (1, 0))) / jnp.sum(gaps)
+    values = lax.map(lambda at: function(at[0], at[1], scene), (solution.ts, solution.states))
+    return jax.tree.map(lambda v: jnp.tensordot(weights, v, axes=1), values)
+
+
+def displacement(solution: Solution) -> Float[Array, " dim"]:
+    """From the mean of all beads at the first time to that at the last [length]."""
+    position = solution.states.position
+    return jnp.mean(position[-1], axis=0) - jnp.mean(position[0], axis=0)
+
+
+def distance(solution: Solution) -> Float[Array, ""]:
+    """Net distance travelled by the mean of all beads [length], with derivative 0 at 0."""
+    return norm(displacement(solution))
+
+
+def swimming_speed(solution: Solution, scene: Scene, frequency: Any) -> Float[Array, ""]:
+    """Net speed of the mean of all beads as V/(f L): lengths of the (first) fibre swum in a period."""
+    time = solution.ts[-1] - solution.ts[0]
+    return distance(solution) / (time * frequency * scene.chain.length[0])
+
+
+def mean_power(solution: Solution, scene: Scene) -> Float[Array, ""]:
+    """Mean work done on the fluid per time, see `observables.power` [force length/time]. In a quiescent
+    fluid it is the dissipation; over whole periods, the work of the active torques (and of what
+    holds or drives the fibre), because elastic energy comes back."""
+    return mean_over_time(power, solution, scene)
+
+
+def efficiency(solution: Solution, scene: Scene) -> Float[Array, ""]:
+    """Lighthill's efficiency, gamma_par V^2 / P, see `observables.swimming_efficiency`."""
+    speed = distance(solution) / (solution.ts[-1] - solution.ts[0])
+    return swimming_efficiency(speed, mean_power(solution, scene), scene)
+
+
+def thrust(solution: Solution, scene: Scene, direction: Any) -> Float[Array, ""]:
+    """Mean force of the fibres on what holds them, along a direction [force].
+
+    Forces within chains sum to zero, so this is minus the sum of all constraint forces."""
+
+    def held(t: Array, state: Any, scene: Scene) -> Array:
+        force = constraint_load(t, state, scene).force
+        return jnp.zeros_like(state.position[0]) if force is None else -jnp.sum(force, axis=0)
+
+    along = jnp.asarray(direction, float)
+    return mean_over_time(held, solution, scene) @ (along / jnp.linalg.norm(along))
+
+
+def shape_error(solution: Solution, data: Any, *, moved: bool = False) -> Float[Array, ""]:
+    """Root mean square distance of the beads from data [length], with derivative 0 at 0.
+
+    **Arguments**: `data`: positions at the solution's times, `(times, beads, dim)`; `moved`: whether
+    each shape is first moved to the data's mean position.
+    """
+    apart = solution.states.position - jnp.asarray(data)
+    if moved:
+        apart = apart - jnp.mean(apart, axis=1, keepdims=True)
+    return norm(apart.ravel()) / (apart.shape[0] * apart.shape[1]) ** 0.5
