@@ -15,6 +15,7 @@ from . import mobility as mobility
 from . import numbers as numbers
 from . import objectives as objectives
 from . import observables as observables
+from . import pairs as pairs
 from . import scenes as scenes
 from . import solver as solver
 from . import tensors as tensors
@@ -41,4 +42,5 @@ from .state import Motion as Motion
 from .state import State as State
 from .steady import SteadyState as SteadyState
 from .steady import steady_state as steady_state
+from .sweep import sweep as sweep
 from .vary import vary as vary

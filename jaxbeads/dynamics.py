@@ -5,7 +5,7 @@ Solves, for one instant, the saddle-point system of Delmotte, Climent & Plourabo
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -18,10 +18,11 @@ from .constraint import AbstractChainConstraint, AbstractConstraint
 from .flow import AbstractFlow
 from .flow.base import spin_and_strain, velocity_and_gradient
 from .geometry import spin_cross
+from .loops import keep
 from .mobility import MobilityOperator
+from .pairs import PairTensor
 from .scene import Scene
 from .state import Load, Motion, State, add_loads, add_motions, zero_motion
-from .tensors import PairTensor
 
 Time = Float[Array, ""] | float
 
@@ -144,7 +145,56 @@ def evaluate(t: Time, state: State, scene: Scene) -> Evaluation:
 
 @eqx.filter_jit
 def _evaluate(t: Time, state: State, scene: Scene) -> Evaluation:
+    return _instant(t, state, scene)
+
+
+@eqx.filter_custom_jvp
+def _instant(t: Time, state: State, scene: Scene) -> Evaluation:
     return _free_and_held(t, state, scene)[1]
+
+
+@_instant.def_jvp
+def _instant_jvp(primals: Any, tangents: Any) -> tuple[Evaluation, Evaluation]:
+    """With multipliers and motion held, dQdot = d[M (F + J^T lambda) + V_inf + C:E] + M J^T dlambda and
+    J dQdot = -(dJ Qdot + dB): derivatives in either mode take the factor that there is."""
+    t, state, scene = primals
+    operator = mobility_operator(state, scene)
+    system = saddle_point(t, state, scene, operator) if scene.constraints else None
+    free = free_motion(t, state, scene, operator)
+    evaluation = Evaluation(free, _none(state)) if system is None else system.hold(free)
+    if system is not None:
+        factor, regular, evaluation = keep((system.factor, system.regular, evaluation))
+        system = system._replace(factor=factor, regular=regular)
+    moved, multipliers = evaluation
+
+    def held(t: Array, state: State, scene: Scene) -> tuple[Motion, Array]:
+        load = applied_load(t, state, scene)
+        if not scene.constraints:
+            return _pushed(t, state, scene, load), _none(state)
+        load = add_loads(load, constraint_map(t, state, scene).pull(multipliers))
+        return _pushed(t, state, scene, load), slips(t, state, scene)(moved)
+
+    still = zero_motion(state, scene.rotational), jnp.zeros_like(multipliers)
+    motion, slip = eqx.combine(eqx.filter_jvp(held, primals, tangents)[1], still)
+    if system is None:
+        return evaluation, Evaluation(motion, slip)
+    change = system.multipliers(slip + system.constraints.slip(motion) - system.constraints.offset)
+    return evaluation, Evaluation(add_motions(motion, system.pulled(change)), change)
+
+
+def _none(state: State) -> Array:
+    return jnp.zeros((0,), state.position.dtype)
+
+
+def _pushed(t: Array, state: State, scene: Scene, load: Load) -> Motion:
+    """M F + V_inf + C:E, in a form to be differentiated."""
+    ambient = ambient_motion(t, state, scene)
+    if load.force is None and load.torque is None:
+        return zero_motion(state, scene.rotational) if ambient is None else ambient
+    operator = mobility_operator(state, scene)
+    paired = isinstance(operator, PairTensor)
+    motion = operator.motion_by_pairs(load) if paired else operator.motion(load)
+    return motion if ambient is None else add_motions(motion, ambient)
 
 
 class SaddlePoint(NamedTuple):
@@ -196,7 +246,7 @@ def _free_and_held(t: Time, state: State, scene: Scene) -> tuple[Motion, Evaluat
     operator = mobility_operator(state, scene)
     free = free_motion(t, state, scene, operator)
     if not scene.constraints:
-        return free, Evaluation(free, jnp.zeros((0,), state.position.dtype))
+        return free, Evaluation(free, _none(state))
     return free, saddle_point(t, state, scene, operator).hold(free)
 
 

@@ -26,9 +26,9 @@ from .dynamics import (
 from .flow import AbstractFlow
 from .flow.base import spin_and_strain, velocity_and_gradient
 from .mobility import MobilityOperator
+from .pairs import PairTensor
 from .scene import Scene
 from .state import Load, Motion, State, add_loads, add_motions, spins, zero_motion
-from .tensors import PairTensor
 
 
 class Linearisation(NamedTuple):

@@ -1,4 +1,4 @@
-"""A loop of unknown length that can be differentiated in both modes."""
+"""Loops that are differentiated: what is kept of a step, and loops of unknown length in both modes."""
 
 from collections.abc import Callable
 from typing import Any
@@ -8,11 +8,25 @@ import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import PyTree
 
 _SECOND = (
     "Second derivatives through adaptive steps: give the number of steps (`substeps`) instead."
 )
+
+
+_KEPT = "kept"
+
+
+def keep(values: PyTree) -> PyTree:
+    """The values, which the backward pass of a `checkpointed` step shall not compute again."""
+    return checkpoint_name(values, _KEPT)
+
+
+def checkpointed(step: Callable[..., Any]) -> Callable[..., Any]:
+    """A step of which the backward pass keeps its arguments and what is named by `keep`."""
+    return jax.checkpoint(step, policy=jax.checkpoint_policies.save_only_these_names(_KEPT))
 
 
 def loop(

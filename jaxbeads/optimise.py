@@ -75,7 +75,12 @@ class _Problem(eqx.Module):
 
     def begin(self, z: PyTree) -> _Walk:
         size = jax.eval_shape(self.violation, z).shape[0]
-        return _Walk(z, self.optimiser.init(z), jnp.zeros(size), jnp.asarray(10.0))
+        return _Walk(z, self.fresh(z), jnp.zeros(size), jnp.asarray(10.0))
+
+    def fresh(self, z: PyTree) -> Any:
+        """The optimiser's memory before its first step, of the types that it has after it: a weak type
+        would be compiled for once more."""
+        return jax.tree.map(lambda x: jnp.asarray(x, jnp.asarray(x).dtype), self.optimiser.init(z))
 
     def step(self, walk: _Walk) -> tuple[_Walk, tuple[Array, Array, Array]]:
         """One step, and loss, norm of the gradient and violation before it."""
@@ -96,7 +101,7 @@ class _Problem(eqx.Module):
     def correct(self, walk: _Walk) -> _Walk:
         """Multipliers of the augmented Lagrangian after a round of steps."""
         multipliers = walk.multipliers + walk.weight * self.violation(walk.z)
-        return _Walk(walk.z, self.optimiser.init(walk.z), multipliers, 2 * walk.weight)
+        return _Walk(walk.z, self.fresh(walk.z), multipliers, 2 * walk.weight)
 
 
 def _known(lower: Array, upper: Array) -> tuple[Array, Array, Array, Array]:

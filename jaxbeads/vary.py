@@ -11,12 +11,13 @@ from ._checks import described, fail
 from ._typing import float_array
 
 
-class Varied(eqx.Module):
-    """A function of chosen numbers of a tree; see `vary`."""
+class Varied:
+    """A function of chosen numbers of a tree; see `vary`. For `jit` the rest of the tree is constant."""
 
-    function: Callable[..., Any] = eqx.field(static=True)
-    tree: PyTree
-    where: Callable[[PyTree], PyTree] = eqx.field(static=True)
+    def __init__(
+        self, function: Callable[..., Any], tree: PyTree, where: Callable[[PyTree], PyTree]
+    ) -> None:
+        self.function, self.tree, self.where = function, tree, where
 
     @property
     def start(self) -> PyTree:

@@ -29,7 +29,7 @@ from jaxbeads.force import (
     Weight,
 )
 from jaxbeads.mobility import RPY, AbstractMobility
-from jaxbeads.tensors import PairTensor
+from jaxbeads.pairs import PairTensor
 
 RADII = [1.0, np.linspace(0.7, 1.2, 9)]
 FIBRES = [9, (4, 5), (2, 1, 3, 3)]

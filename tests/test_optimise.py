@@ -33,6 +33,19 @@ def test_least_value():
     assert abs(slow.loss - slow.history.loss.min()) < 1e-12
 
 
+def test_one_program_for_all_steps():
+    traced = []
+
+    def loss(x):
+        traced.append(0)
+        return valley(x)
+
+    quiet(loss, jnp.array([-1.0, 1.0]), steps=1)
+    once = len(traced)
+    quiet(loss, jnp.array([-1.0, 1.0]), steps=30)
+    assert len(traced) == 2 * once
+
+
 def test_bounds_are_kept():
     def loss(x):
         return jnp.sum((x["a"] - 2) ** 2) + (x["b"] + 1) ** 2
@@ -103,6 +116,10 @@ def test_vary():
     one = vary(fall, model, lambda m: m.viscosity)
     assert one.start == 1.3
     assert abs(one(2.6, 0.0) - fall(vary(lambda m: m, model, one.where)(2.6), 0.0)) == 0
+    assert abs(jax.jit(one)(2.6, 0.0) / one(2.6, 0.0) - 1) < 1e-14
+    best = quiet(lambda x: (one(x, 0.0) / one(2.6, 0.0) - 1) ** 2, one.start, bounds=(0.1, 10.0))
+    assert abs(best.values - 2.6) < 1e-4
+    assert quiet(vary(valley, jnp.ones(2), lambda x: x), jnp.zeros(2), steps=9).loss < 1
     several = vary(fall, model, lambda m: (m.viscosity, m.forces[1].rigidity))
     slopes = jax.grad(several)(several.start, 0.0)
     h = 1e-6

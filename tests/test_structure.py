@@ -16,6 +16,7 @@ ORDER = [
     {"_typing", "_checks", "loops"},
     {"vary", "optimise"},
     {"state", "geometry"},
+    {"pairs"},
     {"tensors"},
     {"chain", "flow", "actuation", "numbers"},
     {"mobility", "constraint", "force"},
@@ -26,7 +27,7 @@ ORDER = [
     {"rollout"},
     {"breakdown", "files", "objectives", "periodic"},
     {"simulate"},
-    {"scenes", "plot"},
+    {"scenes", "plot", "sweep"},
     {"__main__"},
 ]
 # What the files of a sub-package may import from one another.

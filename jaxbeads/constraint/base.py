@@ -11,8 +11,8 @@ from jaxtyping import Array, Float
 
 from ..chain import Chain
 from ..geometry import bond_lengths, bonds, unit
+from ..pairs import PairTensor
 from ..state import Motion, State
-from ..tensors import PairTensor
 
 
 class AbstractConstraint(eqx.Module):

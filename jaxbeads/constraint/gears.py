@@ -8,8 +8,8 @@ from jaxtyping import Array, Float
 
 from ..chain import Chain
 from ..geometry import tangents
+from ..pairs import CROSS, PairTensor
 from ..state import Motion, State
-from ..tensors import CROSS, PairTensor
 from .base import (
     AbstractChainConstraint,
     Difference,

@@ -7,8 +7,8 @@ from jaxtyping import Array, Float
 
 from ..chain import Chain
 from ..geometry import tangents
+from ..pairs import PairTensor
 from ..state import Motion, State
-from ..tensors import PairTensor
 from .base import AbstractChainConstraint, bond_drift, ends, regular
 
 

@@ -8,8 +8,8 @@ from jaxtyping import Array, Float
 
 from ..chain import Chain, linked
 from ..geometry import bonds, norm, spin_cross, unit
+from ..pairs import CROSS, PairTensor
 from ..state import Motion, State
-from ..tensors import CROSS, PairTensor
 from .base import AbstractChainConstraint, ends, regular
 
 

@@ -15,7 +15,7 @@ from ..state import Load, Motion, add_motions
 class MobilityOperator(Protocol):
     """The mobility M of one configuration, applied to loads.
 
-    A `tensors.PairTensor` is one; so is any object with this method. The fast assembly of the
+    A `pairs.PairTensor` is one; so is any object with this method. The fast assembly of the
     constraint matrix needs a `PairTensor`; everything else works with any operator.
     """
 

@@ -6,6 +6,7 @@ import equinox as eqx
 from jaxtyping import Array, Float
 
 from .. import tensors
+from ..pairs import PairTensor
 from ..state import Load, Motion
 from .base import AbstractMobility
 
@@ -29,7 +30,7 @@ class RPY(AbstractMobility):
         radius: Float[Array, ""] | Float[Array, " beads"],
         viscosity: Float[Array, ""],
         rotational: bool,
-    ) -> tensors.PairTensor:
+    ) -> PairTensor:
         """All pair tensors as `(beads, beads)` fields."""
         return tensors.rpy(position, radius, viscosity, rotational)
 

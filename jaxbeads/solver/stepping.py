@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 from ..coordinates import project
 from ..dynamics import rate
 from ..geometry import norm
-from ..loops import loop
+from ..loops import checkpointed, loop
 from ..scene import Scene
 from ..state import State
 
@@ -91,10 +91,11 @@ class FixedSteps(eqx.Module):
     def interval(self, scene: Scene, carry: Carry, t0: Time, t1: Time) -> Carry:
         """Carry at t1 from that at t0."""
 
+        @checkpointed
         def body(carry: Carry, index: Any) -> tuple[Carry, None]:
             return self.step(scene, carry, t0, t1, index), None
 
-        # The backward pass keeps the first carry of each block, and one block in full.
+        # The backward pass keeps the first carry of each block, and of one block the factors.
         @jax.checkpoint
         def block(carry: Carry, indices: Array) -> tuple[Carry, None]:
             return lax.scan(body, carry, indices)

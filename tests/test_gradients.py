@@ -1,0 +1,98 @@
+"""Gradients of whole runs and of instants: both modes, differences, second derivatives (gate T8)."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import bent, jointed, scene
+
+from jaxbeads import Chain, State, dynamics, rollout, straight
+from jaxbeads.actuation import TravellingWave
+from jaxbeads.constraint import Gears, Inextensible, Joint
+from jaxbeads.force import Bending, BendingEnergy, JointBending, Spring, Weight
+from jaxbeads.mobility import RPY, FreeDraining
+
+TIMES = np.linspace(0.0, 4.0, 3)
+
+
+def test_second_derivatives_of_the_motion():
+    # The rule for first derivatives is differentiated again, in both orders of the modes.
+    chain = Chain(1.0, 4)
+    model, state = scene(chain), bent(chain)
+    weight = jnp.asarray(np.random.default_rng(0).normal(size=(4, 2)))
+    shape = state.position.shape
+
+    def value(x):
+        moved = State(state.position + x.reshape(shape))
+        return jnp.sum(weight * dynamics.motion(0.3, moved, model).velocity)
+
+    x, h = 0.01 * jnp.arange(8.0), 1e-5  # no bead touches another
+    slope = jax.jit(jax.grad(value))
+    rows = [(slope(x + h * e) - slope(x - h * e)) / (2 * h) for e in np.eye(8)]
+    for hessian in (jax.jacfwd(jax.grad(value)), jax.jacrev(jax.grad(value))):
+        found = np.asarray(jax.jit(hessian)(x))
+        assert np.abs(found - found.T).max() < 1e-12 * np.abs(found).max()
+        assert np.abs(found - rows).max() < 1e-7 * np.abs(found).max()
+
+
+MODELS = {
+    "Gears": ([Gears()], lambda dim: Bending(4.0), bent),
+    "Inextensible": ([Inextensible()], lambda dim: BendingEnergy(4.0), bent),
+    "Springs": ([], lambda dim: Spring(20.0), bent),
+    "Joint": ([Joint()], lambda dim: JointBending(4.0), jointed),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "model, dim, mobility",
+    [
+        ("Gears", 2, FreeDraining()),
+        ("Inextensible", 2, RPY()),
+        ("Inextensible", 3, FreeDraining()),
+        ("Springs", 3, RPY()),
+        ("Joint", 2, RPY()),
+        ("Joint", 3, FreeDraining()),
+    ],
+    ids=lambda x: x if isinstance(x, (str, int)) else type(x).__name__,
+)
+def test_gradients_of_all_models_in_both_modes(model, dim, mobility):
+    constraints, force, start = MODELS[model]
+    chain = Chain(1.0, 4, gap=0.1) if model == "Joint" else Chain(1.0, 4)
+    forces = [Weight(np.array([0.1, -0.4, 0.2])[:dim]), force(dim)]
+    held = scene(chain, dim, mobility=mobility, constraints=constraints, forces=forces)
+    check_both_modes(held, start(chain, dim), substeps=10)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("amplitude", [0.0, 0.3])
+def test_gradients_over_a_thousand_steps_from_straight(amplitude):
+    # The straight chain, the start of the time and a wave without amplitude are singular places.
+    chain = Chain(1.0, 5)
+    wave = TravellingWave(amplitude * np.ones(3), 0.5, 0.4)
+    active = scene(chain, flow=False, forces=[Bending(3.0, wave)])
+    check_both_modes(active, straight(chain, [1.0, 0.0]), substeps=500)
+
+
+def check_both_modes(model, state, substeps):
+    """Reverse, forward and differences of a trajectory, by every number of scene and state."""
+    leaves, tree = jax.tree.flatten((model, state))
+    rng = np.random.default_rng(1)
+    along = [jnp.asarray(rng.normal(size=np.shape(x))) * (0.1 + np.abs(x)) for x in leaves]
+
+    def value(leaves):
+        model, state = jax.tree.unflatten(tree, leaves)
+        run = rollout(model, state, TIMES[:3], substeps=substeps)
+        return jnp.sum(jnp.sin(run.states.position))
+
+    slopes = jax.jit(jax.grad(value))(leaves)
+    assert all(np.all(np.isfinite(x)) for x in slopes)
+    slope = sum(float(jnp.vdot(a, b)) for a, b in zip(slopes, along, strict=True))
+    pushed = jax.jit(lambda x: jax.jvp(value, (x,), (along,))[1])(leaves)
+    assert abs(pushed - slope) < 1e-10 * abs(slope)
+    once, h = jax.jit(value), 1e-5
+    shifts = {
+        k: once([x + k * h * d for x, d in zip(leaves, along, strict=True)]) for k in range(-2, 3)
+    }
+    difference = (8 * (shifts[1] - shifts[-1]) - (shifts[2] - shifts[-2])) / (12 * h)
+    assert abs(difference - slope) < 1e-6 * abs(slope)
