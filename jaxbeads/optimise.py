@@ -55,7 +55,7 @@ class _Walk(eqx.Module):
 
 
 class _Problem(eqx.Module):
-    loss: Callable[[PyTree], Array] = eqx.field(static=True)
+    loss: Callable[[PyTree], Any] = eqx.field(static=True)
     constraint: Callable[[PyTree], Array] | None = eqx.field(static=True)
     optimiser: optax.GradientTransformationExtraArgs = eqx.field(static=True)
     lower: PyTree
@@ -68,13 +68,16 @@ class _Problem(eqx.Module):
     def free(self, values: PyTree) -> PyTree:
         return jax.tree.map(_free, values, self.lower, self.upper)
 
-    def violation(self, z: PyTree) -> Array:
-        if self.constraint is None:
-            return jnp.zeros((0,))
-        return jnp.atleast_1d(self.constraint(self.values(z)))
+    def both(self, z: PyTree) -> tuple[Array, Array]:
+        """The loss, and all that is to be zero."""
+        values = self.values(z)
+        loss, *constraints = found if isinstance(found := self.loss(values), tuple) else (found,)
+        if self.constraint is not None:
+            constraints.append(self.constraint(values))
+        return loss, jnp.concatenate([jnp.zeros((0,)), *map(jnp.ravel, constraints)])
 
     def begin(self, z: PyTree) -> _Walk:
-        size = jax.eval_shape(self.violation, z).shape[0]
+        size = jax.eval_shape(self.both, z)[1].shape[0]
         return _Walk(z, self.fresh(z), jnp.zeros(size), jnp.asarray(10.0))
 
     def fresh(self, z: PyTree) -> Any:
@@ -86,7 +89,7 @@ class _Problem(eqx.Module):
         """One step, and loss, norm of the gradient and violation before it."""
 
         def merit(z: PyTree) -> tuple[Array, tuple[Array, Array]]:
-            loss, c = self.loss(self.values(z)), self.violation(z)
+            loss, c = self.both(z)
             total = loss + walk.multipliers @ c + walk.weight / 2 * (c @ c)
             return total, (loss, jnp.max(jnp.abs(c), initial=0.0))
 
@@ -100,7 +103,7 @@ class _Problem(eqx.Module):
 
     def correct(self, walk: _Walk) -> _Walk:
         """Multipliers of the augmented Lagrangian after a round of steps."""
-        multipliers = walk.multipliers + walk.weight * self.violation(walk.z)
+        multipliers = walk.multipliers + walk.weight * self.both(walk.z)[1]
         return _Walk(walk.z, self.fresh(walk.z), multipliers, 2 * walk.weight)
 
 
@@ -156,7 +159,8 @@ def optimise(
 
     **Arguments**
 
-    - `loss`: of the values, a scalar; see `vary`. `start`: numbers or arrays, in any tree.
+    - `loss`: of the values, a scalar; see `vary`. Or a pair of it and of what is to be zero, a number
+      or a vector, where both come from one computation. `start`: numbers or arrays, in any tree.
     - `optimiser`: of `optax`; by default `optax.lbfgs()`, which searches along each direction.
     - `steps`: the most in all. It ends earlier where the gradient's norm is below `gradient_tolerance`
       (of every start; with a constraint, after the last correction only).
@@ -184,6 +188,7 @@ def optimise(
     over = (lambda f: eqx.filter_jit(eqx.filter_vmap(f))) if many else eqx.filter_jit
     step, correct, values = over(problem.step), over(problem.correct), over(problem.values)
     walk = over(problem.begin)(over(problem.free)(start))
+    constrained = walk.multipliers.size > 0
     rows: list[list[Any]] = []
     number = jax.tree.leaves(start)[0].shape[:1] if many else ()
     best, least = walk.z, jnp.full(number, jnp.inf)
@@ -201,29 +206,24 @@ def optimise(
                     status = f"stopped: the loss is not finite at step {len(rows)}"
                     break
                 rows.append([value, norm, off, np.asarray(time.perf_counter() - begun)])
-                better = (value < least) | (constraint is not None)
+                better = (value < least) | constrained
                 least = jnp.where(better, value, least)
                 best = _pick(better, walk.z, best)
                 walk = after
-                if constraint is not None and len(rows) % _ROUND == 0:
+                if constrained and len(rows) % _ROUND == 0:
                     walk = correct(walk)
                 if file is not None:
                     _write(file, (walk, best, least), rows)
                 bar.update()
                 bar.set_postfix(loss=f"{value.min():.4g}")
-                if constraint is None and np.all(norm < gradient_tolerance):
+                if not constrained and np.all(norm < gradient_tolerance):
                     status = "the gradient vanishes"
                     break
     except KeyboardInterrupt:
         status = "interrupted"
     losses, norms, off, seconds = (np.array([row[k] for row in rows]) for k in range(4))
-    each = over(
-        lambda z: (
-            problem.loss(problem.values(z)),
-            jnp.max(jnp.abs(problem.violation(z)), initial=0.0),
-        )
-    )
-    last, violation = each(best)
+    last, c = over(problem.both)(best)
+    violation = jnp.max(jnp.abs(c), axis=-1, initial=0.0)
     history = History(losses, norms, off, seconds)
     return Optimum(values(best), last, violation, history, status)
 

@@ -22,11 +22,10 @@ class _Separation(NamedTuple):
 
 
 def _vectors(position: Float[Array, "beads dim"]) -> list[Field]:
-    # A product, not a broadcast: its derivative in reverse is a product with ones, which XLA does
-    # not merge with what makes the fields (it would make them once for each bead).
+    # Products, not broadcasts: their derivatives in reverse are products with ones, which XLA does not
+    # merge with what makes the fields (it would make them once for each bead).
     one = jnp.ones((1, len(position)), position.dtype)
-    rows = [x[:, None] @ one for x in position.T]
-    return [row - row.T for row in rows]
+    return [x[:, None] @ one - one.T @ x[None, :] for x in position.T]
 
 
 def _separation(vector: list[Field]) -> _Separation:

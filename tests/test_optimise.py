@@ -65,6 +65,9 @@ def test_a_constraint_is_met():
     # The lowest point of a circle, and the largest product at a given sum of squares.
     found = quiet(lambda x: x[0] + x[1], jnp.array([0.3, -2.0]), constraint=lambda x: x @ x - 1)
     assert np.abs(found.values + np.sqrt(0.5)).max() < 1e-6 and found.violation < 1e-6
+    # The same from one function.
+    found = quiet(lambda x: (x[0] + x[1], x @ x - 1), jnp.array([0.3, -2.0]))
+    assert np.abs(found.values + np.sqrt(0.5)).max() < 1e-6 and found.violation < 1e-6
     found = quiet(
         lambda x: -jnp.prod(x), jnp.array([1.0, 2.0, 0.5]), constraint=lambda x: x @ x - 3
     )
