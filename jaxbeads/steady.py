@@ -112,16 +112,21 @@ def root(
 ) -> tuple[State, Array, Array, Array]:
     """The shape at which a residual vanishes, by Newton's method.
 
-    No bond turns by more than half a radian in a step. Singular values below `neutral` times the largest
-    count as zero. Derivatives by the scene follow from the implicit function theorem. **Returns** the
-    state, what else is sought, whether it was found, and the Jacobian of the residual.
+    No bond turns by more than half a radian in a step. Singular values below `neutral` times the
+    largest count as zero. Coordinates whose residual nothing changes (a held bead, a prescribed
+    direction) stay as they are at the start. Derivatives by the scene follow from the implicit function
+    theorem. **Returns** the state, what else is sought, whether it was found, and the Jacobian of the
+    residual.
     """
     frozen = lax.stop_gradient(scene)
 
     def inverse(jacobian: Array) -> Array:
+        size = jnp.max(jnp.abs(jacobian), initial=0.0)
+        kept = jnp.max(jnp.abs(jacobian), axis=1, initial=0.0) <= neutral * size
+        square = jnp.where(kept[:, None], size * jnp.eye(len(jacobian)), jacobian)
         # Directions that make no difference are left alone.
         least = 100 * len(jacobian) * float(jnp.finfo(jacobian.dtype).eps)
-        return jnp.linalg.pinv(jacobian, rtol=max(neutral, least))
+        return jnp.linalg.pinv(square, rtol=max(neutral, least)) * ~kept[None, :]
 
     def newton(turn: _Turn) -> _Turn:
         state = shape_about(frozen, turn.state, moving).state(turn.y)

@@ -156,3 +156,16 @@ def test_a_beating_filament_by_shooting():
     assert np.all(found.rotation == np.eye(2))
     with pytest.raises(ValueError, match="Argument `turning` must be False"):
         periodic_state(case.scene, case.state, 2 * np.pi, moving=False)
+
+
+def test_a_prescribed_direction_stays_where_it_is():
+    # The law fixes only the rate of the base's direction: any mean of it has a periodic motion, and the
+    # one that the start has is meant.
+    case = scenes.planar_beating(5, 2.0, amplitude=0.1)
+    found = periodic_state(
+        case.scene, case.state, 2 * np.pi, moving=False, turning=False, substeps=40
+    )
+    bond = np.asarray(found.state.position[1] - found.state.position[0])
+    assert abs(np.arctan2(bond[1], bond[0])) < 1e-6
+    assert np.abs(found.state.position[0] - case.state.position[0]).max() < 1e-6
+    assert np.abs(found.multipliers[:3] - 1).max() < 1e-3 and abs(found.multipliers[3]) < 0.9
