@@ -114,11 +114,11 @@ def explain(
     return Cause(step, t, bead, term, message)
 
 
-def step_advice(scene: Scene, step: float) -> str:
+def step_advice(scene: Scene, step: float, stepper: FixedSteps) -> str:
     """What the time step has to do with it."""
     limit = float(explicit_step(scene))
-    if not np.isfinite(limit):
-        return f" The time step was {step:.3g}; try more `substeps`."
+    if not np.isfinite(limit) or isinstance(stepper.solver, Rosenbrock):
+        return f" The time step was {step:.3g}; try more `substeps`, or `tolerance` instead."
     return (
         f" The time step was {step:.3g}, {step / limit:.3g} times `solver.explicit_step`, eq. (39) for "
         "bending (AB3 is stable to about 2.2 times); use more `substeps`, or `tolerance` instead."
@@ -167,7 +167,9 @@ def locate(
         error, _ = bond_error(scene, new.state)
         fine = np.all(np.isfinite(new.state.position)) and error <= bond_tolerance
         if not fine:
-            advice = step_advice(scene, h)
+            advice = step_advice(scene, h, stepper)
             return explain(scene, carry.state, t0 + index * h, int(carry.steps), new.state, advice)
         carry = new
-    return explain(scene, carry.state, t1, int(carry.steps), carry.state, step_advice(scene, h))
+    return explain(
+        scene, carry.state, t1, int(carry.steps), carry.state, step_advice(scene, h, stepper)
+    )

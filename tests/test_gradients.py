@@ -74,6 +74,22 @@ def test_gradients_over_a_thousand_steps_from_straight(amplitude):
     check_both_modes(active, straight(chain, [1.0, 0.0]), substeps=500)
 
 
+@pytest.mark.slow
+def test_memory_of_the_backward_pass():
+    # Gate T9: ten times the steps need at most four times the memory.
+    chain = Chain(1.0, 4)
+    state = bent(chain)
+
+    def needed(steps):
+        def last(model):
+            return jnp.sum(rollout(model, state, TIMES[:2], substeps=steps).final.position)
+
+        program = jax.jit(jax.grad(last)).lower(scene(chain)).compile()
+        return program.memory_analysis().temp_size_in_bytes
+
+    assert needed(10_000) < 4 * needed(1_000)
+
+
 def check_both_modes(model, state, substeps):
     """Reverse, forward and differences of a trajectory, by every number of scene and state."""
     leaves, tree = jax.tree.flatten((model, state))
