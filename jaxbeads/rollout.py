@@ -190,7 +190,7 @@ def advance(
     """From ts[0] to ts[-1]; returns the carry there and the states at ts[1:]."""
 
     def interval(carry: Carry, span: tuple[Array, Array]) -> tuple[Carry, State]:
-        carry = stepper.interval(scene, carry, *span)
+        carry = stepper.interval(scene, carry, *span, intervals=len(ts) - 1)
         return carry, carry.state
 
     ts = jnp.asarray(ts)

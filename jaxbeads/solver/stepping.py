@@ -53,6 +53,10 @@ class Carry(eqx.Module):
     """Of the solver and its controller."""
 
 
+MOST_KEPT = 2**25
+"""Bytes of factors that the backward pass keeps at most, for each evaluation in a step."""
+
+
 def _block(steps: int) -> int:
     """The largest divisor up to the root of a number of steps."""
     return next(n for n in range(int(np.sqrt(steps)), 0, -1) if steps % n == 0)
@@ -88,15 +92,19 @@ class FixedSteps(eqx.Module):
         failed = result != diffrax.RESULTS.successful
         return Carry(y, carry.steps + 1, jnp.where(failed, 2, carry.code), memory)
 
-    def interval(self, scene: Scene, carry: Carry, t0: Time, t1: Time) -> Carry:
-        """Carry at t1 from that at t0."""
+    def interval(self, scene: Scene, carry: Carry, t0: Time, t1: Time, intervals: int = 1) -> Carry:
+        """Carry at t1 from that at t0, one of so many intervals."""
 
         @checkpointed
         def body(carry: Carry, index: Any) -> tuple[Carry, None]:
             return self.step(scene, carry, t0, t1, index), None
 
-        # The backward pass keeps the first carry of each block, and of one block the factors.
-        @jax.checkpoint
+        # The backward pass keeps the factors of all steps if they are few, otherwise the first carry of
+        # each block and the factors of one.
+        x = carry.state.position
+        few = intervals * self.substeps * x.size**2 * x.dtype.itemsize <= MOST_KEPT
+
+        @(checkpointed if few else jax.checkpoint)
         def block(carry: Carry, indices: Array) -> tuple[Carry, None]:
             return lax.scan(body, carry, indices)
 
@@ -186,9 +194,8 @@ class AdaptiveSteps(eqx.Module):
         )
         return jnp.where(stuck, 2, code), after
 
-    def interval(self, scene: Scene, carry: Carry, t0: Time, t1: Time) -> Carry:
-        """Carry at t1 from that at t0."""
-
+    def interval(self, scene: Scene, carry: Carry, t0: Time, t1: Time, intervals: int = 1) -> Carry:
+        """Carry at t1 from that at t0, one of so many intervals."""
         first = jnp.zeros((), int), carry.code, carry.memory
         fixed = self, scene, jnp.asarray(t1)
         count, code, a = loop(_unfinished, _attempted, first, fixed, self.max_steps)
