@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from ._checks import non_zero, positive, shape
 from .dynamics import constraint_load
 from .geometry import norm
 from .observables import power, swimming_efficiency
@@ -52,7 +53,10 @@ def distance(solution: Solution) -> Float[Array, ""]:
 
 
 def swimming_speed(solution: Solution, scene: Scene, frequency: Any) -> Float[Array, ""]:
-    """Net speed of the mean of all beads as V/(f L): lengths of the (first) fibre swum in a period."""
+    """Net speed of the mean of all beads as V/(f L): lengths of the (first) fibre swum in a period.
+
+    **Raises** `ValueError` for a frequency that is not positive."""
+    positive("frequency", frequency)
     time = solution.ts[-1] - solution.ts[0]
     return distance(solution) / (time * frequency * scene.chain.length[0])
 
@@ -73,7 +77,11 @@ def efficiency(solution: Solution, scene: Scene) -> Float[Array, ""]:
 def thrust(solution: Solution, scene: Scene, direction: Any) -> Float[Array, ""]:
     """Mean force of the fibres on what holds them, along a direction [force].
 
-    Forces within chains sum to zero, so this is minus the sum of all constraint forces."""
+    Forces within chains sum to zero, so this is minus the sum of all constraint forces.
+
+    **Raises** `ValueError` for a direction that is zero or of another dimension."""
+    shape("direction", direction, solution.states.position.shape[-1:])
+    non_zero("direction", direction)
 
     def held(t: Array, state: Any, scene: Scene) -> Array:
         force = constraint_load(t, state, scene).force
@@ -87,8 +95,10 @@ def shape_error(solution: Solution, data: Any, *, moved: bool = False) -> Float[
     """Root mean square distance of the beads from data [length], with derivative 0 at 0.
 
     **Arguments**: `data`: positions at the solution's times, `(times, beads, dim)`; `moved`: whether
-    each shape is first moved to the data's mean position.
+    each shape is first moved to the data's mean position. **Raises** `ValueError` for data of another
+    shape.
     """
+    shape("data", data, solution.states.position.shape)
     apart = solution.states.position - jnp.asarray(data)
     if moved:
         apart = apart - jnp.mean(apart, axis=1, keepdims=True)

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from cases import bent
 
 from jaxbeads import Chain, Scene, Solution, State, objectives, rollout, straight
@@ -80,3 +81,15 @@ def test_shape_error():
     away = data + np.array([0.3, -0.4])
     assert abs(objectives.shape_error(run, away) - 0.5) < 1e-14
     assert objectives.shape_error(run, away, moved=True) < 1e-14
+
+
+def test_what_is_refused():
+    run, scene = moved_by(np.arange(2.0), np.zeros((2, 2))), Scene(CHAIN, 1.0)
+    with pytest.raises(ValueError, match="`frequency` must be positive"):
+        objectives.swimming_speed(run, scene, 0.0)
+    with pytest.raises(ValueError, match="`direction` must not be zero"):
+        objectives.thrust(run, scene, [0.0, 0.0])
+    with pytest.raises(ValueError, match="`direction` must have shape"):
+        objectives.thrust(run, scene, [1.0, 0.0, 0.0])
+    with pytest.raises(ValueError, match="`data` must have shape"):
+        objectives.shape_error(run, np.zeros((3, 2)))
