@@ -246,7 +246,7 @@ for name, (size, slope) in bent.items():
 # less and the end of the tail more. A body with a whole wave on it is pushed to both sides alike at any
 # time, so it hardly turns to and fro: the line from end to end swings by 1.2 degrees (rms) instead of
 # 4.7. That swing takes power and does not propel. The preferred curvature is what elasticity needs to
-# make this wave: largest in the middle, and with a third harmonic of about a tenth of the first.
+# make this wave: largest in the middle, and with a third harmonic of a quarter of the first.
 #
 # It is a maximum found from one start, the literature's wave, and a worm's power here is the work
 # on the fluid alone.
