@@ -123,7 +123,9 @@ def root(
     def inverse(jacobian: Array) -> Array:
         size = jnp.max(jnp.abs(jacobian), initial=0.0)
         kept = jnp.max(jnp.abs(jacobian), axis=1, initial=0.0) <= neutral * size
-        square = jnp.where(kept[:, None], size * jnp.eye(len(jacobian)), jacobian)
+        square = jnp.where(
+            kept[:, None], size * jnp.eye(len(jacobian), dtype=jacobian.dtype), jacobian
+        )
         # Directions that make no difference are left alone.
         least = 100 * len(jacobian) * float(jnp.finfo(jacobian.dtype).eps)
         return jnp.linalg.pinv(square, rtol=max(neutral, least)) * ~kept[None, :]
