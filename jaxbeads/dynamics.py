@@ -15,6 +15,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from .constraint import AbstractChainConstraint, AbstractConstraint
+from .factors import cholesky, cholesky_solve
 from .flow import AbstractFlow
 from .flow.base import spin_and_strain, velocity_and_gradient
 from .geometry import spin_cross
@@ -210,7 +211,7 @@ class SaddlePoint(NamedTuple):
 
         def solve(_: Callable[[Array], Array], rhs: Array) -> Array:
             rhs = jnp.where(self.regular, rhs, jnp.nan)
-            return jax.scipy.linalg.cho_solve((self.factor, True), rhs)
+            return cholesky_solve(self.factor, rhs)
 
         def compliance(x: Array) -> Array:
             return self.constraints.compliance(self.operator, x)
@@ -234,7 +235,7 @@ def mobility_operator(state: State, scene: Scene) -> MobilityOperator:
 
 def saddle_point(t: Time, state: State, scene: Scene, operator: MobilityOperator) -> SaddlePoint:
     matrix = _matrix(*lax.stop_gradient((t, state, scene, operator)))
-    factor = lax.linalg.cholesky(matrix, symmetrize_input=False)
+    factor = cholesky(matrix)
     # A row that depends on those before it leaves a pivot of rounding size, or NaN.
     pivot = jnp.diagonal(factor) ** 2 / jnp.diagonal(matrix)
     regular = jnp.min(pivot, initial=1.0) > 10 * len(pivot) * jnp.finfo(pivot.dtype).eps

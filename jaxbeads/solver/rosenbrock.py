@@ -1,6 +1,7 @@
 """Linearly implicit steps for stiff scenes."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, ClassVar
 
 import diffrax
@@ -11,6 +12,7 @@ from jax import lax
 from jaxtyping import Array, PyTree
 
 from ..coordinates import Coordinates, coordinates
+from ..factors import lu, triangular_solve
 from ..linearise import coordinate_rate, linearise
 from ..scene import Scene
 from ..state import State
@@ -162,23 +164,15 @@ class Rosenbrock(diffrax.AbstractAdaptiveSolver):
 def _factorised(product: Callable[[Array], Array], matrix: Array) -> Callable[[Array], Array]:
     """Solutions of product(x) = rhs with one LU factor of the matrix, which derivatives reuse: they are
     those of the product, which is taken only where something is differentiated."""
-    factor, _, order = lax.linalg.lu(lax.stop_gradient(matrix))
+    factor, order = lu(lax.stop_gradient(matrix))
     back = jnp.argsort(order)
-
-    def triangular(rhs: Array, lower: bool, transposed: bool) -> Array:
-        return lax.linalg.triangular_solve(
-            factor,
-            rhs[:, None],
-            left_side=True,
-            lower=lower,
-            transpose_a=transposed,
-            unit_diagonal=lower,
-        )[:, 0]
+    lower = partial(triangular_solve, factor, lower=True, unit=True)
+    upper = partial(triangular_solve, factor, lower=False)
 
     def solve(_: Callable[[Array], Array], rhs: Array) -> Array:
-        return triangular(triangular(rhs[order], True, False), False, False)
+        return upper(lower(rhs[order]))
 
     def transpose_solve(_: Callable[[Array], Array], rhs: Array) -> Array:
-        return triangular(triangular(rhs, False, True), True, True)[back]
+        return lower(upper(rhs, transposed=True), transposed=True)[back]
 
     return lambda rhs: lax.custom_linear_solve(product, rhs, solve, transpose_solve)
