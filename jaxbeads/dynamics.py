@@ -192,9 +192,8 @@ def _pushed(t: Array, state: State, scene: Scene, load: Load) -> Motion:
     ambient = ambient_motion(t, state, scene)
     if load.force is None and load.torque is None:
         return zero_motion(state, scene.rotational) if ambient is None else ambient
-    operator = mobility_operator(state, scene)
-    paired = isinstance(operator, PairTensor)
-    motion = operator.motion_by_pairs(load) if paired else operator.motion(load)
+    radius, viscosity = scene.chain.radius, scene.viscosity
+    motion = scene.mobility.motion(state.position, radius, viscosity, scene.rotational, load)
     return motion if ambient is None else add_motions(motion, ambient)
 
 
@@ -235,7 +234,7 @@ def mobility_operator(state: State, scene: Scene) -> MobilityOperator:
 
 def saddle_point(t: Time, state: State, scene: Scene, operator: MobilityOperator) -> SaddlePoint:
     matrix = _matrix(*lax.stop_gradient((t, state, scene, operator)))
-    factor = cholesky(matrix)
+    factor = cholesky(matrix.T)
     # A row that depends on those before it leaves a pivot of rounding size, or NaN.
     pivot = jnp.diagonal(factor) ** 2 / jnp.diagonal(matrix)
     regular = jnp.min(pivot, initial=1.0) > 10 * len(pivot) * jnp.finfo(pivot.dtype).eps

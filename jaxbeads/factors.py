@@ -16,20 +16,21 @@ from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Float
 
 
-def _one_by_one(function: Callable[..., Any], *stacks: Array) -> Any:
+def _one_by_one(function: custom_vmap, *stacks: Array) -> Any:
     """The function of each member: in turn on a CPU, side by side elsewhere."""
-    # Both are of the function itself, so that its rule holds for a second batch too.
+    # The map is of the function itself, so that its rule holds for a second batch too.
     return lax.platform_dependent(
         *stacks,
         cpu=lambda *stacks: lax.map(lambda member: function(*member), stacks),
-        default=jax.vmap(function.fun if isinstance(function, custom_vmap) else function),
+        default=jax.vmap(function.fun),
     )
 
 
 @custom_vmap
 def cholesky(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """L of S = L L^T from the lower triangle of S; NaN where S is not positive."""
-    return lax.linalg.cholesky(matrix, symmetrize_input=False)
+    """L of S = L L^T from the upper triangle of S, which is where LAPACK looks for it in a matrix that
+    is stored by rows; NaN where S is not positive."""
+    return lax.linalg.cholesky(matrix.T, symmetrize_input=False)
 
 
 @custom_vmap
@@ -59,27 +60,33 @@ def triangular_solve(
 ) -> Float[Array, " n"]:
     """Solution of T x = rhs, or T^T x = rhs, with a triangle T of a matrix, with ones on its diagonal if
     `unit`."""
-    return _solve(lower, transposed, unit)(factor, rhs[:, None])[:, 0]
+    options = {"lower": lower, "transpose_a": transposed, "unit_diagonal": unit}
+    solve = partial(lax.linalg.triangular_solve, left_side=True, **options)
+    return _columns(solve)(factor, rhs[:, None])[:, 0]
 
 
 def cholesky_solve(factor: Float[Array, "n n"], rhs: Float[Array, " n"]) -> Float[Array, " n"]:
     """Solution of L L^T x = rhs."""
-    half = triangular_solve(factor, rhs, lower=True)
-    return triangular_solve(factor, half, lower=True, transposed=True)
+
+    def solve(factor: Array, rhs: Array) -> Array:
+        half = lax.linalg.triangular_solve(factor, rhs, left_side=True, lower=True)
+        return lax.linalg.triangular_solve(
+            factor, half, left_side=True, lower=True, transpose_a=True
+        )
+
+    return _columns(solve)(factor, rhs[:, None])[:, 0]
 
 
-def _solve(lower: bool, transposed: bool, unit: bool) -> Callable[[Array, Array], Array]:
-    """Of many right-hand sides, the columns of a matrix."""
-    options = dict(left_side=True, lower=lower, transpose_a=transposed, unit_diagonal=unit)
-    solve = custom_vmap(partial(lax.linalg.triangular_solve, **options))
+def _columns(function: Callable[[Array, Array], Array]) -> Callable[[Array, Array], Array]:
+    """A solution with many right-hand sides, the columns of a matrix."""
+    solve = custom_vmap(function)
 
     @solve.def_vmap
     def _(size: int, batched: list[bool], factors: Array, rhs: Array) -> tuple[Array, bool]:
         if not batched[0]:  # more columns
             columns = jnp.moveaxis(rhs, 0, -1)
-            return jnp.moveaxis(
-                solve(factors, columns.reshape(len(columns), -1)).reshape(columns.shape), -1, 0
-            ), True
+            found = solve(factors, columns.reshape(len(columns), -1))
+            return jnp.moveaxis(found.reshape(columns.shape), -1, 0), True
         if not batched[1]:
             rhs = jnp.broadcast_to(rhs, (size, *rhs.shape))
         return _one_by_one(solve, factors, rhs), True

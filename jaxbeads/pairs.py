@@ -52,25 +52,11 @@ class PairTensor(eqx.Module):
             return Motion(velocity)
         return Motion(velocity, _products(self.rt, force, self.rr, torque))
 
-    def motion_by_pairs(self, load: Load) -> Motion:
-        """As `motion`, but pair by pair: its derivatives by the fields need no outer products."""
-        rows, dim = self.pairs(load), len(self.tt)
-        sums = [row @ jnp.ones(row.shape[1], row.dtype) for row in rows]
-        velocity = jnp.stack(sums[:dim], axis=1)
-        return Motion(velocity, jnp.stack(sums[dim:], axis=1) if self.rr else None)
-
     def unit_motions(self, torque: bool) -> Motion:
         """Motions under a unit force (or torque) along each component on each bead: the columns of M,
         component by component, as a leading axis."""
         linear, angular = (self.tr, self.rr) if torque else (self.tt, self.rt)
         return Motion(_columns(linear), _columns(angular) if self.rr else None)
-
-    def pairs(self, load: Load) -> tuple[Field, ...]:
-        """What the load on bead j adds to each component of velocity and spin of bead i."""
-        force = None if load.force is None else load.force.T
-        torque = None if load.torque is None else load.torque.T
-        rows = _pairs(self.tt, force, self.tr, torque)
-        return rows + _pairs(self.rt, force, self.rr, torque) if self.rr else rows
 
 
 def _columns(table: Table | SignedTable) -> Float[Array, "loads beads components"]:
@@ -87,27 +73,6 @@ def _columns(table: Table | SignedTable) -> Float[Array, "loads beads components
     return jnp.concatenate(
         [jnp.stack([column(row[j], other) for row in table], axis=2) for j in loads]
     )
-
-
-def _pairs(
-    left: Table | SignedTable, a: Array | None, right: Table | SignedTable, b: Array | None
-) -> tuple[Field, ...]:
-    def term(entry: Signed | Array, component: Array) -> Array:
-        if isinstance(entry, Signed):
-            return entry.field * (entry.sign * component)[None, :]
-        return entry * component[None, :]
-
-    rows = []
-    for i in range(len(left)):
-        terms = [
-            term(entry, component)
-            for table, vector in ((left, a), (right, b))
-            if vector is not None and table
-            for entry, component in zip(table[i], vector, strict=True)
-            if entry is not None
-        ]
-        rows.append(sum(terms[1:], start=terms[0]))
-    return tuple(rows)
 
 
 def _products(

@@ -157,6 +157,55 @@ def _rpy(vector: list[Field], radius: Array, viscosity: Array, rotational: bool)
     return PairTensor(tt, tuple(map(tuple, tr)), tuple(map(tuple, rt)), rr)
 
 
+def rpy_motion(
+    position: Float[Array, "beads dim"],
+    radius: Float[Array, ""] | Float[Array, " beads"],
+    viscosity: Float[Array, ""],
+    rotational: bool,
+    load: Load,
+) -> Motion:
+    """M F as `rpy(...).motion(load)`, but pair by pair: no field outlives the sum that it goes into, and
+    derivatives need no outer products.
+
+    **Arguments**: as for `rpy`; loads. **Returns** a `Motion`.
+    """
+    # A product with ones sums faster than `sum`; for the division see `_rpy`.
+    ones = jnp.ones(len(position), position.dtype)
+    sums = [(f / viscosity) @ ones for f in _pushed(_vectors(position), radius, rotational, load)]
+    dim = position.shape[1]
+    velocity = jnp.stack(sums[:dim], axis=1)
+    return Motion(velocity, jnp.stack(sums[dim:], axis=1) if rotational else None)
+
+
+def _pushed(vector: list[Field], radius: Array, rotational: bool, load: Load) -> tuple[Field, ...]:
+    """What the load on bead j adds to each component of velocity and spin of bead i; viscosity 1."""
+    s, dim, turns = _separation(vector), len(vector), spins(len(vector))
+    k = _equal(s, radius) if radius.ndim == 0 else _unequal(s, radius)
+    force = None if load.force is None else list(load.force.T[:, None, :])
+    torque = None if load.torque is None else list(load.torque.T[:, None, :])
+
+    def dyadic(one: Array, two: Array, x: list[Array]) -> list[Array]:
+        along = two * sum(d * c for d, c in zip(vector, x, strict=True))
+        return [one * c + along * d for d, c in zip(vector, x, strict=True)]
+
+    velocity, spin = [[] for _ in range(dim)], [[] for _ in range(turns)]
+    if force is not None:
+        for i, field in enumerate(dyadic(k.tt1, k.tt2, force)):
+            velocity[i].append(field)
+    if not rotational:
+        return tuple(reduce(jnp.add, terms) for terms in velocity)
+    if torque is not None:
+        angular = [k.rr1 * torque[0]] if dim == 2 else dyadic(k.rr1, k.rr2, torque)
+        for i, field in enumerate(angular):
+            spin[i].append(field)
+    for i, j, m, sign in CROSS[dim]:  # T x d and F x d
+        if torque is not None:
+            velocity[i].append(-sign * (k.tr * (vector[j] * torque[m])))
+        if force is not None:
+            spin[m].append(sign * (k.rt * (vector[j] * force[i])))
+    return tuple(reduce(jnp.add, terms) for terms in velocity + spin)
+
+
 def _dyads(one: Array, two: Array, vector: list[Field], viscosity: Array) -> Table:
     dim = len(vector)
     fields: dict[tuple[int, int], Array] = {}
@@ -265,7 +314,8 @@ def rpy_gradient(
     def pairs(vector: list[Field], rate: Array | None) -> tuple[Field, ...]:
         moved: list[tuple[Field, ...]] = []
         if loaded:
-            moved.append(_rpy(vector, radius, viscosity, rotational).pairs(load))
+            pushed = _pushed(vector, radius, rotational, load)
+            moved.append(tuple(f / viscosity for f in pushed))
         if rate is not None:
             moved.append(_disturbance(vector, radius, rate, rotational))
         return tuple(reduce(jnp.add, parts) for parts in zip(*moved, strict=True))

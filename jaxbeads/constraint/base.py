@@ -7,6 +7,8 @@ from typing import ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
+from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Float
 
 from ..chain import Chain
@@ -95,3 +97,25 @@ def regular(block: Array, mask: np.ndarray, scale: Array | None) -> Array:
         return block
     block = jnp.where(mask[:, None] & mask[None, :], block, 0.0)
     return block if scale is None else block + jnp.diag(~mask * scale)
+
+
+def place(matrix: Array, block: Array, row: int, column: int) -> Array:
+    """A matrix with a block in its place, the last two axes.
+
+    Many matrices side by side are filled in the same way; the rule of `dynamic_update_slice` would make
+    it a scatter, which computes the block's numbers one by one.
+    """
+
+    @custom_vmap
+    def put(matrix: Array, block: Array) -> Array:
+        return lax.dynamic_update_slice(matrix, block, (*[0] * (block.ndim - 2), row, column))
+
+    @put.def_vmap
+    def _(size: int, batched: list[bool], matrix: Array, block: Array) -> tuple[Array, bool]:
+        matrix, block = (
+            x if b else jnp.broadcast_to(x, (size, *x.shape))
+            for x, b in zip((matrix, block), batched, strict=True)
+        )
+        return place(matrix, block, row, column), True
+
+    return put(matrix, block)

@@ -3,7 +3,6 @@
 from typing import ClassVar
 
 import jax.numpy as jnp
-from jax import lax
 from jaxtyping import Array, Float
 
 from ..chain import Chain
@@ -15,6 +14,7 @@ from .base import (
     Difference,
     bond_drift,
     ends,
+    place,
     regular,
 )
 
@@ -75,7 +75,9 @@ class Gears(AbstractChainConstraint):
         one = 1 + 0 * scale  # see `rpy`: a division keeps a field from being redone
         sums = [[aa(f) / one for f in row] for row in tensor.rr]
         mask = chain.bond_mask
-        s = jnp.zeros((dim * bonds, dim * bonds), e.dtype)
+        s = jnp.full(
+            (dim * bonds, dim * bonds), 0 * scale
+        )  # a constant would be padded, not filled
         for i in range(dim):
             for j in range(i, dim):
                 block = dd(tensor.tt[i][j])
@@ -88,7 +90,7 @@ class Gears(AbstractChainConstraint):
                     for m, w in lever[j].items():
                         block = block + sums[k][m] * (u[:, None] * w[None, :])
                 block = regular(block, mask, scale if i == j else None)
-                s = lax.dynamic_update_slice(s, block, (i * bonds, j * bonds))
+                s = place(s, block, i * bonds, j * bonds)
         # LAPACK wants columns in a row. The transpose is free here, and asks nothing of the layout of
         # the fields, which the products with loads want by rows.
         return s.T

@@ -3,14 +3,13 @@
 from typing import ClassVar
 
 import jax.numpy as jnp
-from jax import lax
 from jaxtyping import Array, Float
 
 from ..chain import Chain, linked
 from ..geometry import bonds, norm, spin_cross, unit
 from ..pairs import CROSS, PairTensor
 from ..state import Motion, State
-from .base import AbstractChainConstraint, ends, regular
+from .base import AbstractChainConstraint, ends, place, regular
 
 
 class Joint(AbstractChainConstraint):
@@ -52,7 +51,9 @@ class Joint(AbstractChainConstraint):
             lever[i][k] = -sign * p[j]
         dd, da, ad, aa = ends(-1, -1), ends(-1, 1), ends(1, -1), ends(1, 1)
         mask, scale = chain.bond_mask, tensor.tt[0][0][0, 0]
-        s = jnp.zeros((dim * bonds, dim * bonds), p.dtype)
+        s = jnp.full(
+            (dim * bonds, dim * bonds), 0 * scale
+        )  # a constant would be padded, not filled
         for i in range(dim):
             for j in range(i, dim):
                 block = dd(tensor.tt[i][j])
@@ -65,7 +66,7 @@ class Joint(AbstractChainConstraint):
                     for m, w in lever[j].items():
                         block = block + aa(u[:, None] * tensor.rr[k][m] * w[None, :])
                 block = regular(block, mask, scale if i == j else None)
-                s = lax.dynamic_update_slice(s, block, (i * bonds, j * bonds))
+                s = place(s, block, i * bonds, j * bonds)
         return s.T
 
     def drift(self, state: State, chain: Chain) -> Float[Array, " bonds"]:

@@ -50,6 +50,17 @@ class AbstractMobility(eqx.Module):
     ) -> Motion | None:
         """C : E for the ambient rate of strain at the beads [1/time]; `None` if there is none."""
 
+    def motion(
+        self,
+        position: Float[Array, "beads dim"],
+        radius: Float[Array, ""] | Float[Array, " beads"],
+        viscosity: Float[Array, ""],
+        rotational: bool,
+        load: Load,
+    ) -> Motion:
+        """M F for one load, in the form that is differentiated."""
+        return self.operator(position, radius, viscosity, rotational).motion(load)
+
     def gradient(
         self,
         position: Float[Array, "beads dim"],

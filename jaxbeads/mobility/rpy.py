@@ -46,6 +46,17 @@ class RPY(AbstractMobility):
             return None
         return tensors.shear_disturbance(position, radius, strain_rate, rotational)
 
+    def motion(
+        self,
+        position: Float[Array, "beads dim"],
+        radius: Float[Array, ""] | Float[Array, " beads"],
+        viscosity: Float[Array, ""],
+        rotational: bool,
+        load: Load,
+    ) -> Motion:
+        """M F, pair by pair."""
+        return tensors.rpy_motion(position, radius, viscosity, rotational, load)
+
     def gradient(
         self,
         position: Float[Array, "beads dim"],
