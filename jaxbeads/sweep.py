@@ -1,18 +1,18 @@
 """`sweep`: one scene for many values of its parameters, side by side."""
 
+import os
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import diffrax
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
 from ._checks import described, fail, finite, increasing, whole
 from .breakdown import SimulationError
+from .chunks import NOT_RUN, Measured, all_members
 from .rollout import Solution, Tolerance, rollout
 from .scene import Scene
 from .simulate import simulate
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     import xarray
 
 _EXPLAINED = 3  # members that failed are run again alone, to say why; no more than these
-_NOT_RUN = -1
 
 Build = Callable[..., tuple[Scene, State]]
 Measure = Callable[[Solution, Scene], Mapping[str, Any]]
@@ -40,7 +39,9 @@ def sweep(
     substeps: int | None = None,
     projected: bool | None = None,
     max_steps: int = 100_000,
-    chunk: int = 64,
+    chunk: int | None = None,
+    folder: str | os.PathLike[str] | None = None,
+    devices: Sequence[Any] | None = None,
     progress: bool = True,
 ) -> "xarray.Dataset":
     """Trajectories for all combinations of some parameters, measured, as a labelled table:
@@ -51,9 +52,16 @@ def sweep(
         table = sweep(build, {"rigidity": [1.0, 2.0], "weight": [0.1, 0.2, 0.3]}, ts, measure)
         table.speed.sel(weight=0.2); table.where(table.code == 0)
 
-    Members are followed side by side by one compiled program, `chunk` of them at a time, which sees
+    Members are followed by one compiled program, `chunk` of them on each device at a time (side by side
+    on an accelerator, in turn on a CPU, whose cores are used by more devices, see below), which sees
     each value as an array: any number that does not change a shape may be an axis. Each member chooses
-    its own steps, and none changes another: one that fails is marked and the rest goes on.
+    its own steps, and none changes another: one that fails is marked and the rest goes on. Chunks
+    of the same size give the same numbers, bit for bit, on any number of devices and processes of the
+    same kind.
+
+    With a `folder` each chunk is written to it when it is done. The same call again reads what is there
+    and runs the rest: after a kill, on other devices, or with `jax.distributed` initialised in several
+    processes at once, which share the chunks and all return the whole table.
 
     **Arguments**
 
@@ -63,21 +71,28 @@ def sweep(
     - `measure`: numbers or arrays by name, from a `Solution` and the scene.
     - `paired`: the axes' values belong together, one member for each, instead of all combinations.
     - `solver`, `tolerance`, `substeps`, `projected`, `max_steps`: as for `rollout`.
-    - `chunk`: members at a time; memory grows with it.
+    - `chunk`: members at a time on each device; memory grows with it. By default what the folder has, or
+      64, or less where that leaves a device without work.
+    - `folder`: where chunks are kept, made if it is not there.
+    - `devices`: by default this process's (`jax.local_devices()`).
     - `progress`: show a progress bar.
 
     **Returns** an `xarray.Dataset`: one dimension for each axis (or `member`), what was measured (NaN
     where it failed), `steps`, and `code`: 0 where all went well, otherwise as in a `Solution`, 4 where
     only what is measured is not finite, -1 where Ctrl-C came before. `attrs["failures"]` says for each
     member that failed which it is, and for the first three why: alone they are run again by `simulate`,
-    which names step, bead and term. **Raises** `ValueError` for input that does not fit.
+    which names step, bead and term. **Raises** `ValueError` for input that does not fit, as a folder
+    that holds another sweep.
     """
     points, shape, dims = _grid(axes, paired)
     for name, function in (("build", build), ("measure", measure)):
         if not callable(function):
             fail(name, "be a function", f"it is {described(function)}")
     increasing("ts", ts)
-    whole("chunk", chunk, 1)
+    if chunk is not None:
+        whole("chunk", chunk, 1)
+    if devices is not None and len(devices) == 0:
+        fail("devices", "hold at least one device", "it is empty")
     ts = jnp.asarray(ts, float)
     options: dict[str, Any] = {
         "solver": solver,
@@ -87,16 +102,16 @@ def sweep(
         "max_steps": max_steps,
     }
 
-    def member(point: dict[str, Array]) -> tuple[dict[str, Array], Array, Array]:
+    def member(point: dict[str, Array]) -> Measured:
         scene, state = _built(build, point)
         solution = rollout(scene, state, ts, **options)
         found = {name: jnp.asarray(value) for name, value in measure(solution, scene).items()}
         fine = [jnp.all(jnp.isfinite(x)) for x in found.values()]
         code = jnp.where((solution.code == 0) & ~jnp.all(jnp.array(fine)), 4, solution.code)
         kept = {n: jnp.where(code == 0, x.astype(float), jnp.nan) for n, x in found.items()}
-        return kept, code, solution.steps
+        return Measured(kept, code, solution.steps)
 
-    kept, code, steps = _all(eqx.filter_jit(jax.vmap(member)), points, chunk, progress)
+    kept, code, steps = all_members(member, points, chunk, folder, devices, progress)
 
     def alone(point: dict[str, Array]) -> str:
         try:
@@ -150,38 +165,6 @@ def _grid(
     return dict(zip(values, map(np.ravel, grids), strict=True)), grids[0].shape, list(values)
 
 
-def _all(
-    run: Callable[[dict[str, Array]], Any],
-    points: dict[str, np.ndarray],
-    chunk: int,
-    progress: bool,
-) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
-    """All members, chunk by chunk; the last chunk is filled up with its last member."""
-    total = len(next(iter(points.values())))
-    size, parts = min(chunk, total), []
-    from tqdm.auto import tqdm
-
-    try:
-        with tqdm(total=total, disable=not progress) as bar:
-            for first in range(0, total, size):
-                rows = np.minimum(np.arange(first, first + size), total - 1)
-                part = run({n: jnp.asarray(v[rows]) for n, v in points.items()})
-                number = min(size, total - first)
-                parts.append(jax.tree.map(lambda x, n=number: np.asarray(x)[:n], part))
-                bar.update(number)
-    except KeyboardInterrupt:
-        if not parts:
-            raise
-    kept, code, steps = jax.tree.map(lambda *x: np.concatenate(x), *parts)
-    left = total - len(code)
-
-    def filled(x: np.ndarray, value: float | int) -> np.ndarray:
-        return np.concatenate([x, np.full((left, *x.shape[1:]), value, x.dtype)])
-
-    kept = {name: filled(x, np.nan) for name, x in kept.items()}
-    return kept, filled(code, _NOT_RUN), filled(steps, 0)
-
-
 def _failures(
     points: dict[str, np.ndarray], code: np.ndarray, alone: Callable[[dict[str, Array]], str]
 ) -> list[str]:
@@ -189,7 +172,7 @@ def _failures(
     sentences = []
     for row in np.flatnonzero(code != 0):
         who = ", ".join(f"{name} = {v[row]:g}" for name, v in points.items())
-        if code[row] == _NOT_RUN:
+        if code[row] == NOT_RUN:
             why = "not run: interrupted"
         elif code[row] == 4:
             why = "what is measured is not finite (code 4)"

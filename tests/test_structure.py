@@ -13,8 +13,8 @@ PACKAGE = Path(jaxbeads.__file__).parent
 
 # A module imports from earlier rows only (and, in a row, what `base` modules allow).
 ORDER = [
-    {"_typing", "_checks", "loops"},
-    {"vary", "optimise"},
+    {"_typing", "_checks", "loops", "factors"},
+    {"vary", "optimise", "chunks", "cache"},
     {"state", "geometry"},
     {"pairs"},
     {"tensors"},
@@ -79,6 +79,10 @@ def test_import_loads_no_plotting_and_changes_no_configuration():
     program = (
         "import sys, jax; before = dict(jax.config.values); import jaxbeads; "
         "assert dict(jax.config.values) == before, 'configuration changed'; "
-        "assert 'matplotlib' not in sys.modules, 'matplotlib imported'"
+        "assert 'matplotlib' not in sys.modules, 'matplotlib imported'; "
+        # Nothing is computed yet: devices, processes and precision can still be chosen.
+        "jax.config.update('jax_num_cpu_devices', 2); assert len(jax.devices()) == 2; "
+        "jax.config.update('jax_enable_x64', True); from jaxbeads import scenes; "
+        "assert scenes.settling(4, 10.0, scenes.JOINT).scene.chain.gap == 0.1"
     )
     subprocess.run([sys.executable, "-c", program], check=True)

@@ -1,5 +1,11 @@
 """Sweeps: labels, the same numbers as one after the other, and members that fail."""
 
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
 import diffrax
 import jax
 import jax.numpy as jnp
@@ -122,3 +128,136 @@ def test_what_is_refused(axes, options, sentence):
 def test_functions_are_refused_by_name():
     with pytest.raises(ValueError, match="`build` must return a scene and a state"):
         quiet(lambda rigidity, weight: rigidity, AXES)
+
+
+def cheap(weight):
+    """A scene that compiles fast."""
+    return Scene(CHAIN, 1.0, forces=[Weight(jnp.stack([0.0 * weight, -weight]))]), STATE
+
+
+def place(solution, scene):
+    return {"place": solution.states.position[-1].mean(axis=0)}
+
+
+def swept(folder, build=cheap, measure=place, weights=(1.0, 2.0, 3.0, 4.0, 5.0), **options):
+    """Five members in chunks of two."""
+    options = {"substeps": 2, "chunk": 2, "progress": False} | options
+    return sweep(build, {"weight": list(weights)}, TS, measure, folder=folder, **options)
+
+
+def test_chunks_are_kept_and_the_rest_is_run(tmp_path):
+    table = swept(tmp_path / "sweep")
+    assert table.identical(swept(None))
+    files = sorted(path.name for path in (tmp_path / "sweep").iterdir())
+    assert files == [f"chunk_{k:06d}.npz" for k in range(3)] + ["sweep.json"]
+    # What is there is read, what is not is run; the size of chunks is the folder's.
+    kept = tmp_path / "sweep" / files[0]
+    with np.load(kept) as held:
+        changed = {**held, "x.place": held["x.place"] + 1.0}
+    np.savez(kept, **changed)
+    (tmp_path / "sweep" / files[1]).unlink()
+    again = swept(tmp_path / "sweep", chunk=None)
+    assert np.array_equal(again.place[2:], table.place[2:])
+    assert np.array_equal(again.place[:2], table.place[:2] + 1.0)
+
+
+def test_an_interrupted_sweep_goes_on(tmp_path, monkeypatch):
+    from jaxbeads import chunks
+
+    written, write = [], chunks._Store.write
+
+    def interrupted(store, index, part):
+        if len(written) == 2:
+            raise KeyboardInterrupt
+        written.append(index)
+        write(store, index, part)
+
+    monkeypatch.setattr(chunks._Store, "write", interrupted)
+    table = swept(tmp_path)
+    assert list(table.code) == [0, 0, 0, 0, -1]
+    assert table.attrs["failures"] == ["weight = 5: not run: interrupted"]
+    monkeypatch.undo()
+    assert swept(tmp_path).identical(swept(None))
+
+
+def test_a_folder_of_another_sweep_is_refused(tmp_path):
+    swept(tmp_path)
+    for options, sentence in (
+        ({"weights": (1.0, 2.0, 3.0, 4.0, 6.0)}, "holds other parameters"),
+        ({"chunk": 3}, "holds chunks of 2, not 3"),
+        ({"substeps": 3}, "holds a sweep of another program"),
+        ({"measure": lambda s, _: {"place": s.states.position[-1, 0]}}, "another program"),
+    ):
+        with pytest.raises(
+            ValueError, match=f"`folder` must hold this sweep or nothing.*{sentence}"
+        ):
+            swept(tmp_path, **options)
+    (tmp_path / "chunk_000001.npz").write_bytes(b"nothing")
+    with pytest.raises(ValueError, match=r"chunk_000001\.npz is damaged"):
+        swept(tmp_path)
+    (tmp_path / "sweep.json").write_text("{")
+    with pytest.raises(ValueError, match=r"sweep\.json cannot be read"):
+        swept(tmp_path)
+    with pytest.raises(ValueError, match="`devices` must hold at least one"):
+        swept(None, devices=[])
+
+
+_ELSEWHERE = """
+import sys
+import jax
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_num_cpu_devices", int(sys.argv[1]))
+if len(sys.argv) > 3:
+    jax.distributed.initialize(sys.argv[3], 2, int(sys.argv[4]))
+import test_sweep
+options = dict(weights=range(1, 8), solver=test_sweep.TSIT5, substeps=None)
+found = test_sweep.swept(sys.argv[2] or None, test_sweep.held, **options)
+print(found.to_dict()["data_vars"])
+"""
+TSIT5 = diffrax.Tsit5()
+
+
+def held(weight):
+    """A fibre without stiffness; each member chooses steps of its own."""
+    forces = [Weight(jnp.stack([0.0 * weight, -weight]))]
+    return Scene(CHAIN, 1.0, constraints=[Gears()], forces=forces), STATE
+
+
+def start(*arguments):
+    """A sweep of four chunks in another process."""
+    command = [sys.executable, "-c", _ELSEWHERE, *map(str, arguments)]
+    return subprocess.Popen(command, cwd=Path(__file__).parent, text=True, stdout=subprocess.PIPE)
+
+
+def ended(*processes):
+    texts = [process.communicate(timeout=300)[0] for process in processes]
+    assert not any(process.returncode for process in processes)
+    return [next(line for line in t.splitlines() if line.startswith("{")) for t in texts]
+
+
+@pytest.mark.slow
+def test_devices_and_processes_give_the_same_bits(tmp_path):
+    (one,) = ended(start(1, tmp_path / "one"))
+    two, four = ended(start(2, ""), start(4, tmp_path / "four"))
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        meeting = f"127.0.0.1:{free.getsockname()[1]}"
+    folder = tmp_path / "processes"
+    pair = ended(start(1, folder, meeting, 0), start(1, folder, meeting, 1))
+    assert two == one and four == one and pair == [one, one]
+    assert "nan" not in one
+
+
+@pytest.mark.slow
+def test_a_killed_sweep_goes_on(tmp_path):
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    (table,) = ended(start(1, whole))
+    process = start(1, killed)
+    while process.poll() is None and not list(killed.glob("*.npz")):
+        time.sleep(0.01)
+    process.kill()
+    process.communicate()
+    before = {path.name: path.stat().st_mtime_ns for path in killed.glob("*.npz")}
+    assert ended(start(2, killed)) == [table]
+    after = {path.name: path.stat().st_mtime_ns for path in killed.glob("*.npz")}
+    assert len(after) == 4 and {name: after[name] for name in before} == before

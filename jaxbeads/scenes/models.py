@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._typing import float_array
 from ..chain import Chain, from_directors, from_tangents
 from ..constraint import AbstractConstraint, EqualSpins, FrozenJoints, Gears, Inextensible, Joint
 from ..force import AbstractForce, Bending, BendingEnergy, JointBending, JointRepulsion, Spring
@@ -74,11 +73,11 @@ class JointModel(AbstractModel):
     `roughness`, `decay`: as in `JointRepulsion`. The defaults are those of the paper's settling fibre.
     """
 
-    gap: Float[Array, ""] = eqx.field(converter=float_array, default=0.1)
-    viscous: Float[Array, ""] = eqx.field(converter=float_array, default=0.01)
-    elastic: Float[Array, ""] = eqx.field(converter=float_array, default=0.01)
-    roughness: Float[Array, ""] = eqx.field(converter=float_array, default=0.2)
-    decay: Float[Array, ""] = eqx.field(converter=float_array, default=0.25)
+    gap: float | Float[Array, ""] = 0.1
+    viscous: float | Float[Array, ""] = 0.01
+    elastic: float | Float[Array, ""] = 0.01
+    roughness: float | Float[Array, ""] = 0.2
+    decay: float | Float[Array, ""] = 0.25
 
     def chain(self, radius: float, beads: int) -> Chain:
         """Beads 2 (a + eps_g) apart."""
@@ -108,7 +107,7 @@ class SpringModel(AbstractModel):
     """
 
     mobility: ClassVar[RPY] = RPY(strained=False)
-    stretching: Float[Array, ""] = eqx.field(converter=float_array, default=2.0)
+    stretching: float | Float[Array, ""] = 2.0
 
     def chain(self, radius: float, beads: int) -> Chain:
         """Touching beads."""
