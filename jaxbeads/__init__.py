@@ -20,6 +20,7 @@ from . import scenes as scenes
 from . import solver as solver
 from . import tensors as tensors
 from .breakdown import SimulationError as SimulationError
+from .cache import enable_cache as enable_cache
 from .chain import Chain as Chain
 from .chain import from_directors as from_directors
 from .chain import from_tangents as from_tangents
