@@ -102,7 +102,7 @@ plt.show()
 # is already periodic.
 
 # %%
-numbers, speeds = [10, 15, 20, 30], []
+numbers, speeds = [10, 15, 20], []
 for beads in numbers:
     case = scenes.nematode(beads)
     case = case._replace(ts=case.ts[: 2 * SAMPLES + 1], until=None)
@@ -147,7 +147,7 @@ def pair(distance, antiphase, contact=True):
 
 
 alone = advance(worm)
-distances = [0.35, 0.5, 0.7, 1.0]
+distances = [0.35, 0.6, 1.0]
 pairs = {(d, anti): pair(d, anti) for anti in (False, True) for d in distances}
 ratio = {key: advance(run) / alone for key, run in pairs.items()}
 gap = {key: smallest_gap(run) for key, run in pairs.items()}

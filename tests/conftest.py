@@ -16,7 +16,7 @@ _CACHE = "JAX_COMPILATION_CACHE_DIR"
 _OWN = _CACHE not in os.environ
 if _OWN:
     os.environ[_CACHE] = tempfile.mkdtemp(prefix="jaxbeads-tests-")
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "1")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
 
 jax.config.update("jax_compilation_cache_dir", os.environ[_CACHE])
