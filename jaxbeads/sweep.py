@@ -1,4 +1,4 @@
-"""`sweep`: one scene for many values of its parameters, side by side."""
+"""`sweep`: one scene for many values of its parameters."""
 
 import os
 import warnings

@@ -134,9 +134,7 @@ start = time.perf_counter()
 looped = [float(single(*point)["speed"]) for point in chosen]
 loop = (time.perf_counter() - start) / len(chosen)
 print(f"a member takes {1e3 * loop:.1f} ms in a loop: all {table.code.size} {500 * loop:.1f} s")
-print(
-    f"the sweep took {whole:.1f} s, of which compiling and the runs that explain failures are most"
-)
+print(f"the sweep took {whole:.1f} s, with compiling and the runs that explain failures")
 in_table = [float(table.speed.sel(sperm_number=a, amplitude=b)) for a, b in chosen]
 apart = np.nanmax(np.abs(np.array(in_table) - looped))
 

@@ -48,6 +48,22 @@ def cloud(seed, beads=6, spread=2.0):
 
 
 @pytest.mark.parametrize("equal", [True, False])
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("given", ["force", "torque", "both"])
+def test_the_form_that_is_differentiated_is_the_same_motion(given, dim, equal):
+    # Pair by pair, without the tables that the quadrature vouches for.
+    rng, position = cloud(5)
+    position, turns = jnp.asarray(position[:, :dim]), 1 if dim == 2 else 3
+    radius = jnp.asarray(1.3) if equal else jnp.asarray(rng.uniform(0.3, 2.0, 6))
+    force, torque = jnp.asarray(rng.normal(size=(6, dim))), jnp.asarray(rng.normal(size=(6, turns)))
+    load = Load(None if given == "torque" else force, None if given == "force" else torque)
+    one = RPY().motion(position, radius, jnp.asarray(1.7), True, load)
+    two = motion(RPY(), position, radius, load, 1.7)
+    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(two), strict=True):
+        assert np.abs(a - b).max() < 1e-14
+
+
+@pytest.mark.parametrize("equal", [True, False])
 @pytest.mark.parametrize("seed", range(4))
 def test_matches_quadrature_of_the_definition(seed, equal):
     # Closed forms against surface averages; the quadrature converges to 1e-12.
