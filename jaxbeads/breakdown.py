@@ -9,6 +9,7 @@ import numpy as np
 from .constraint import AbstractChainConstraint
 from .dynamics import ambient_motion, redundancy
 from .force import Contact
+from .geometry import smallest_gap
 from .rollout import Solution, Stepper, default_solver
 from .scene import Scene
 from .solver import AdaptiveSteps, FixedSteps, Rosenbrock, explicit_step
@@ -70,14 +71,12 @@ def guilty_term(t: float, state: State, scene: Scene) -> tuple[str, str]:
 
 
 def _smallest_gap(scene: Scene, state: State) -> str:
-    x, a = np.asarray(state.position), np.asarray(scene.chain.radii)
-    if len(x) < 2:
+    radii = np.asarray(scene.chain.radii)
+    if len(radii) < 2:
         return ""
-    gap = np.linalg.norm(x[:, None] - x[None], axis=-1) - a[:, None] - a[None, :]
-    np.fill_diagonal(gap, np.inf)
-    i, j = sorted(int(k) for k in np.unravel_index(np.argmin(gap), gap.shape))
-    found = f" The smallest gap is {gap[i, j]:.3g} (beads {i} and {j})."
-    if gap[i, j] < -0.1 * a.min() and not any(isinstance(f, Contact) for f in scene.forces):
+    gap, i, j = smallest_gap(np.asarray(state.position), radii)
+    found = f" The smallest gap is {gap:.3g} (beads {i} and {j})."
+    if gap < -0.1 * radii.min() and not any(isinstance(f, Contact) for f in scene.forces):
         found += " They pass through one another: `Contact` keeps beads apart."
     return found
 

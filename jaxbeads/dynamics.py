@@ -4,36 +4,30 @@ Solves, for one instant, the saddle-point system of Delmotte, Climent & Plourabo
 (11)-(17): Qdot = M (F + J^T lambda) + V_inf + C:E with J Qdot + B = 0.
 """
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jaxtyping import Array, Float
 
-from .constraint import AbstractChainConstraint, AbstractConstraint
-from .factors import cholesky, cholesky_solve
+from .constraint import AbstractConstraint
 from .flow import AbstractFlow
 from .flow.base import spin_and_strain, velocity_and_gradient
 from .geometry import spin_cross
 from .loops import keep
-from .mobility import MobilityOperator
-from .pairs import PairTensor
+from .mobility import MatrixFree, MobilityOperator
+from .saddle import (
+    Evaluation,
+    Time,
+    constraint_map,
+    matrix,
+    mobility_operator,
+    saddle_point,
+    slips,
+)
 from .scene import Scene
 from .state import Load, Motion, State, add_loads, add_motions, zero_motion
-
-Time = Float[Array, ""] | float
-
-
-class Evaluation(NamedTuple):
-    """What one instant yields."""
-
-    motion: Motion
-    multipliers: Array
-    """Lagrange multipliers of all constraints in turn, raveled [force]."""
 
 
 def applied_load(t: Time, state: State, scene: Scene) -> Load:
@@ -75,63 +69,6 @@ def free_motion(t: Time, state: State, scene: Scene, operator: MobilityOperator)
     return free if ambient is None else add_motions(free, ambient)
 
 
-def slips(t: Time, state: State, scene: Scene) -> Callable[[Motion], Array]:
-    """All constraints' residuals as one vector; affine in the motion."""
-
-    def slip(motion: Motion) -> Array:
-        rows = (c.slip(jnp.asarray(t), state, motion, scene.chain) for c in scene.constraints)
-        return jnp.concatenate([jnp.ravel(row) for row in rows])
-
-    return slip
-
-
-class ConstraintMap(NamedTuple):
-    """J as a pair of linear functions."""
-
-    slip: Callable[[Motion], Array]  # J Qdot + B
-    offset: Array  # B
-    pull: Callable[[Array], Load]  # J^T lambda
-
-    def compliance(self, operator: MobilityOperator, multipliers: Array) -> Array:
-        """J M J^T lambda."""
-        return self.slip(operator.motion(self.pull(multipliers))) - self.offset
-
-
-def constraint_map(t: Time, state: State, scene: Scene) -> ConstraintMap:
-    slip = slips(t, state, scene)
-    offset, transpose = jax.vjp(slip, zero_motion(state, scene.rotational))
-
-    def pull(multipliers: Array) -> Load:
-        (pulled,) = transpose(multipliers)
-        return Load(pulled.velocity, pulled.spin)
-
-    return ConstraintMap(slip, offset, pull)
-
-
-def _matrix(t: Time, state: State, scene: Scene, operator: MobilityOperator) -> Array:
-    """S = J M J^T, its lower triangle.
-
-    The first constraint assembles its own block where it can. All other rows are found by applying
-    M to one unit multiplier after the other, vectorised.
-    """
-    j = constraint_map(t, state, scene)
-    rows, first, time = j.offset.shape[0], scene.constraints[0], jnp.asarray(t)
-    block = None
-    if isinstance(first, AbstractChainConstraint) and isinstance(operator, PairTensor):
-        block = first.assemble(time, state, operator, scene.chain)
-    known = 0 if block is None else block.shape[0]
-    units = jnp.eye(rows - known, rows, known, dtype=j.offset.dtype)
-    rest = jax.vmap(lambda unit: j.compliance(operator, unit))(units)
-    # Rows that read no motion (as those of a chain constraint between two fibres) stay regular.
-    empty = jnp.diagonal(rest, known) == 0
-    rest = jnp.where(empty[:, None], units, rest)
-    if block is None:
-        return rest
-    return (
-        jnp.concatenate([jnp.pad(block, ((0, 0), (0, rows - known))), rest]) if len(rest) else block
-    )
-
-
 def evaluate(t: Time, state: State, scene: Scene) -> Evaluation:
     """Motion and multipliers at one instant.
 
@@ -164,8 +101,8 @@ def _instant_jvp(primals: Any, tangents: Any) -> tuple[Evaluation, Evaluation]:
     free = free_motion(t, state, scene, operator)
     evaluation = Evaluation(free, _none(state)) if system is None else system.hold(free)
     if system is not None:
-        factor, regular, evaluation = keep((system.factor, system.regular, evaluation))
-        system = system._replace(factor=factor, regular=regular)
+        solver, evaluation = keep((system.solver, evaluation))
+        system = system._replace(solver=solver)
     moved, multipliers = evaluation
 
     def held(t: Array, state: State, scene: Scene) -> tuple[Motion, Array]:
@@ -195,50 +132,6 @@ def _pushed(t: Array, state: State, scene: Scene, load: Load) -> Motion:
     radius, viscosity = scene.chain.radius, scene.viscosity
     motion = scene.mobility.motion(state.position, radius, viscosity, scene.rotational, load)
     return motion if ambient is None else add_motions(motion, ambient)
-
-
-class SaddlePoint(NamedTuple):
-    """The saddle-point system of one instant, factorised."""
-
-    operator: MobilityOperator
-    constraints: ConstraintMap
-    factor: Array
-    regular: Array
-
-    def multipliers(self, slip: Array) -> Array:
-        """-S^-1 slip; NaN where S is singular."""
-
-        def solve(_: Callable[[Array], Array], rhs: Array) -> Array:
-            rhs = jnp.where(self.regular, rhs, jnp.nan)
-            return cholesky_solve(self.factor, rhs)
-
-        def compliance(x: Array) -> Array:
-            return self.constraints.compliance(self.operator, x)
-
-        return lax.custom_linear_solve(compliance, -slip, solve, symmetric=True)
-
-    def pulled(self, multipliers: Array) -> Motion:
-        """M J^T lambda."""
-        return self.operator.motion(self.constraints.pull(multipliers))
-
-    def hold(self, free: Motion) -> Evaluation:
-        """The motion without constraints made to meet them."""
-        multipliers = self.multipliers(self.constraints.slip(free))
-        return Evaluation(add_motions(free, self.pulled(multipliers)), multipliers)
-
-
-def mobility_operator(state: State, scene: Scene) -> MobilityOperator:
-    radius, viscosity = scene.chain.radius, scene.viscosity
-    return scene.mobility.operator(state.position, radius, viscosity, scene.rotational)
-
-
-def saddle_point(t: Time, state: State, scene: Scene, operator: MobilityOperator) -> SaddlePoint:
-    matrix = _matrix(*lax.stop_gradient((t, state, scene, operator)))
-    factor = cholesky(matrix.T)
-    # A row that depends on those before it leaves a pivot of rounding size, or NaN.
-    pivot = jnp.diagonal(factor) ** 2 / jnp.diagonal(matrix)
-    regular = jnp.min(pivot, initial=1.0) > 10 * len(pivot) * jnp.finfo(pivot.dtype).eps
-    return SaddlePoint(operator, constraint_map(t, state, scene), factor, regular)
 
 
 def _free_and_held(t: Time, state: State, scene: Scene) -> tuple[Motion, Evaluation]:
@@ -272,7 +165,10 @@ def constraint_matrix(t: Time, state: State, scene: Scene) -> Float[Array, "rows
 
 @eqx.filter_jit
 def _full_matrix(t: Time, state: State, scene: Scene) -> Array:
-    lower = jnp.tril(_matrix(t, state, scene, mobility_operator(state, scene)))
+    operator = mobility_operator(state, scene)
+    if isinstance(operator, MatrixFree):
+        operator = operator.among(jnp.arange(scene.chain.beads))
+    lower = jnp.tril(matrix(t, state, scene, operator))
     return lower + jnp.tril(lower, -1).T
 
 
@@ -289,9 +185,10 @@ def redundancy(t: Time, state: State, scene: Scene) -> str | None:
     Looks at the null vectors of S, each of them a combination of rows that demands nothing new. If the
     velocities that these rows prescribe do not agree either, no motion meets them.
 
-    **Returns** a sentence, or `None` if the constraints are independent. A host function.
+    **Returns** a sentence, or `None` if the constraints are independent, or too many for eigenvalues (a
+    mobility that is not dense). A host function.
     """
-    if not scene.constraints:
+    if not scene.constraints or not scene.mobility.is_dense(scene.chain.beads):
         return None
     matrix = np.asarray(constraint_matrix(t, state, scene))
     if not np.all(np.isfinite(matrix)):

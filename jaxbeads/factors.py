@@ -65,6 +65,18 @@ def triangular_solve(
     return _columns(solve)(factor, rhs[:, None])[:, 0]
 
 
+@custom_vmap
+def inverse_of_triangle(factor: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """L^-1 of a lower triangle."""
+    unit = jnp.eye(len(factor), dtype=factor.dtype)
+    return lax.linalg.triangular_solve(factor, unit, left_side=True, lower=True)
+
+
+@inverse_of_triangle.def_vmap
+def _(size: int, batched: list[bool], factors: Array) -> tuple[Any, Any]:
+    return _one_by_one(inverse_of_triangle, factors), True
+
+
 def cholesky_solve(factor: Float[Array, "n n"], rhs: Float[Array, " n"]) -> Float[Array, " n"]:
     """Solution of L L^T x = rhs."""
 

@@ -4,6 +4,7 @@
 """
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 
@@ -80,3 +81,20 @@ def turning_angles(position: Float[Array, "*batch beads dim"]) -> Array:
     sine = cross(before, after)
     sine = sine[..., 0] if e.shape[-1] == 2 else norm(sine)
     return jnp.arctan2(sine, jnp.sum(before * after, axis=-1))
+
+
+def smallest_gap(position: np.ndarray, radii: np.ndarray) -> tuple[float, int, int]:
+    """Smallest distance of the surfaces of two beads (negative if they overlap), and which they are. On
+    the host, some beads at a time; at least two beads."""
+    best, beads = (np.inf, 0, 1), len(position)
+    rows = max(1, 2**20 // beads)
+    for start in range(0, beads, rows):
+        part = slice(start, start + rows)
+        square = sum((x[part, None] - x[None, :]) ** 2 for x in position.T)
+        gap = np.sqrt(square) - radii[part, None] - radii[None, :]
+        own = np.arange(len(gap))
+        gap[own, start + own] = np.inf
+        i, j = (int(k) for k in np.unravel_index(np.argmin(gap), gap.shape))
+        if gap[i, j] < best[0]:
+            best = (float(gap[i, j]), min(start + i, j), max(start + i, j))
+    return best

@@ -9,24 +9,29 @@ from jax import lax
 from jax.extend.core import Literal
 from jaxtyping import Array, Float
 
+from ._checks import fail
 from .coordinates import Coordinates
 from .dynamics import (
-    SaddlePoint,
-    Time,
     applied_load,
     carried,
-    constraint_map,
     free_motion,
-    mobility_operator,
     moving,
     rate,
-    saddle_point,
-    slips,
 )
 from .flow import AbstractFlow
 from .flow.base import spin_and_strain, velocity_and_gradient
-from .mobility import MobilityOperator
+from .mobility import MatrixFree, MobilityOperator
 from .pairs import PairTensor
+from .saddle import (
+    Factorised,
+    Iterations,
+    SaddlePoint,
+    Time,
+    constraint_map,
+    mobility_operator,
+    saddle_point,
+    slips,
+)
 from .scene import Scene
 from .state import Load, Motion, State, add_loads, add_motions, spins, zero_motion
 
@@ -69,6 +74,9 @@ def linearise(
     """
     t, state = jnp.asarray(t), coordinates.start
     operator = mobility_operator(state, scene)
+    if isinstance(operator, MatrixFree):
+        must = "have a dense mobility for implicit solvers and steady states"
+        fail("scene", must, "it has none: take `RPY(dense=True)`, or an explicit solver")
     system = saddle_point(t, state, scene, operator) if scene.constraints else None
     free = free_motion(t, state, scene, operator)
     held, multipliers = (free, None) if system is None else system.hold(free)
@@ -78,8 +86,8 @@ def linearise(
 
     later = _drift(t, state, scene, operator, system, held)
     drift = jnp.zeros_like(coordinates.origin) if later is None else still(later)
-    factor = None if system is None else (system.factor, system.regular)
-    instant = t, coordinates, scene, operator, factor, held, multipliers
+    solver = None if system is None else system.solver
+    instant = t, coordinates, scene, operator, solver, held, multipliers
     jacobian = _jacobian(*(lax.stop_gradient(instant) if frozen else instant))
     return Linearisation(still(held), drift, jacobian)
 
@@ -89,7 +97,7 @@ def _jacobian(
     coordinates: Coordinates,
     scene: Scene,
     operator: MobilityOperator,
-    factor: tuple[Array, Array] | None,
+    solver: Factorised | Iterations | None,
     held: Motion,
     multipliers: Array | None,
 ) -> Float[Array, "numbers numbers"]:
@@ -98,8 +106,8 @@ def _jacobian(
     units = jnp.eye(len(x), dtype=x.dtype)
     shifts = _columns(coordinates.state, x, units)
     moved = _explicit_columns(t, state, shifts, scene, operator, multipliers)
-    if factor is not None:
-        system = SaddlePoint(operator, constraint_map(t, state, scene), *factor)
+    if solver is not None:
+        system = SaddlePoint(operator, constraint_map(t, state, scene), solver)
         moved = _hold_columns(t, state, shifts, scene, system, held, moved)
 
     def turned(at: tuple[Array, State]) -> Array:

@@ -1,21 +1,78 @@
-"""A mobility as tables of what beads do to one another in pairs, component-major: every field is one
-`(beads, beads)` array, so that loops run along memory. A planar scene holds 6 fields, a spatial one 15.
+"""What beads do to one another in pairs: summed as it is computed, or kept as tables.
+
+Everything is component-major: a field is one `(to, of)` array of beads, so that loops run along memory.
+As tables the mobility of a planar scene is 6 fields, that of a spatial one 15.
 """
 
+from collections.abc import Callable, Sequence
+from typing import Any
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jax import lax
+from jaxtyping import Array, Float, PyTree
 
 from .state import Load, Motion
 
-Field = Float[Array, "beads beads"]
+Field = Float[Array, "to of"]
 Table = tuple[tuple[Array, ...], ...]
+Radii = Array | tuple[Array, Array]
+"""One radius for all beads, or those of the beads along rows (a column) and along columns (a row)."""
+
+PAIRS = 2**17
+"""Pairs that `pair_sums` computes at a time: their fields stay in the cache."""
 
 # (a x b)_i = sum of sign * a_j * b_k over (i, j, k, sign); in the plane b (or the result) is normal.
 CROSS = {
     3: ((0, 1, 2, 1), (1, 2, 0, 1), (2, 0, 1, 1), (0, 2, 1, -1), (1, 0, 2, -1), (2, 1, 0, -1)),
     2: ((0, 1, 0, 1), (1, 0, 0, -1)),
 }
+
+
+def separations(
+    to: Float[Array, "to dim"], of: Float[Array, "of dim"]
+) -> list[Float[Array, "to of"]]:
+    """r_i - r_j, one field for each component."""
+    # Products, not broadcasts: their derivatives in reverse are products with ones, which XLA does not
+    # merge with what makes the fields (it would make them once for each bead).
+    row, column = jnp.ones((1, len(of)), of.dtype), jnp.ones((len(to), 1), to.dtype)
+    return [x[:, None] @ row - column @ y[None, :] for x, y in zip(to.T, of.T, strict=True)]
+
+
+def radii_of(to: Float[Array, "*to"], of: Float[Array, "*of"]) -> Radii:
+    """The radii of pairs."""
+    return to if to.ndim == 0 else (to[:, None], of[None, :])
+
+
+def pair_sums(fields: Callable[[Any, Any], Sequence[Field]], beads: PyTree) -> list[Array]:
+    """Sums over all beads j of functions of the pairs (i, j).
+
+    Some beads i at a time, with all j, in a loop that keeps nothing: memory grows like the number of
+    beads, also in derivatives, which compute each block anew.
+
+    **Arguments**: function of two sets of beads, to and of, that returns fields (to, of); arrays with a
+    row for each bead, of which it gets some. **Returns** an array of numbers for each field.
+    """
+    number = len(jax.tree.leaves(beads)[0])
+    # A product with ones sums faster than `sum`.
+    ones = jnp.ones(number, jax.tree.leaves(beads)[0].dtype)
+
+    def block(to: PyTree) -> list[Array]:
+        return [field @ ones for field in fields(to, beads)]
+
+    count = -(-(number**2) // PAIRS)
+    if count == 1:
+        return block(beads)
+    rows = -(-number // count)
+    count = -(-number // rows)
+
+    def cut(x: Array) -> Array:
+        padded = jnp.pad(x, [(0, count * rows - number)] + [(0, 0)] * (x.ndim - 1), mode="edge")
+        return padded.reshape(count, rows, *x.shape[1:])
+
+    sums = lax.map(jax.checkpoint(block), jax.tree.map(cut, beads))
+    return [x.ravel()[:number] for x in sums]
 
 
 class Signed(eqx.Module):

@@ -71,7 +71,10 @@ class Solution(eqx.Module):
 
 
 def default_solver(scene: Scene) -> diffrax.AbstractSolver:
-    """`Rosenbrock` if a force of the scene is stiff (bounds explicit steps), otherwise `Tsit5`."""
+    """`Rosenbrock` if a force of the scene is stiff (bounds explicit steps) and its mobility is dense,
+    otherwise `Tsit5`."""
+    if not scene.mobility.is_dense(scene.chain.beads):
+        return diffrax.Tsit5()
     stiff = any(type(f).explicit_step is not AbstractForce.explicit_step for f in scene.forces)
     return Rosenbrock() if stiff else diffrax.Tsit5()
 
@@ -91,6 +94,9 @@ def stepper_for(
         solver = default_solver(scene) if substeps is None else AB3()
     if not isinstance(solver, diffrax.AbstractSolver):
         fail("solver", "be a diffrax solver object, as AB3()", f"it is {solver!r}")
+    if isinstance(solver, Rosenbrock) and not scene.mobility.is_dense(scene.chain.beads):
+        must = "be explicit (`AB3()`, `Tsit5()`) where the mobility is not dense"
+        fail("solver", must, "it is Rosenbrock (`RPY(dense=True)` makes it dense at any size)")
     solver = _both_modes(solver)
     whole("max_steps", max_steps, 1)
     if tolerance is not None:
@@ -223,7 +229,8 @@ def rollout(
     - `scene`, `state`: the model and where it starts.
     - `ts`: increasing times [time], `(times,)`; for `AB3` evenly spaced.
     - `solver`: `Rosenbrock()`, `AB3()` or any `diffrax` solver. By default what the scene needs:
-      `Rosenbrock` if a force is stiff, otherwise `diffrax.Tsit5`; `AB3` if `substeps` is given.
+      `Rosenbrock` if a force is stiff and the mobility dense, otherwise `diffrax.Tsit5`; `AB3` if
+      `substeps` is given.
     - `tolerance`: largest error of a step, as a fraction of the longest fibre's length; by default 1e-6
       (float32: 1e-4). The error over a path is of the same size where neighbouring paths converge.
     - `substeps`: equal steps between two times instead. `AB3` without it takes the paper's step (39).

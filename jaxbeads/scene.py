@@ -16,6 +16,7 @@ from .chain import Chain
 from .constraint import AbstractConstraint, Joint
 from .flow import AbstractFlow
 from .force import AbstractForce, Bending, JointBending
+from .geometry import smallest_gap
 from .mobility import RPY, AbstractMobility
 from .state import State
 
@@ -122,11 +123,9 @@ def check(
     if scene.flow is not None:
         scene.flow.check(dim)
     tracers = any(isinstance(x, Tracer) for x in (position, chain.radius))
-    if not overlap and not tracers:
-        x, a = np.asarray(position), np.asarray(chain.radii)
-        gap = np.linalg.norm(x[:, None] - x[None], axis=-1) - a[:, None] - a[None, :]
-        np.fill_diagonal(gap, np.inf)
-        i, j = sorted(int(k) for k in np.unravel_index(np.argmin(gap), gap.shape))
-        if gap[i, j] < -0.01 * a.min():
+    if not overlap and not tracers and beads > 1:
+        radii = np.asarray(chain.radii)
+        gap, i, j = smallest_gap(np.asarray(position), radii)
+        if gap < -0.01 * radii.min():
             must = "hold no overlapping beads in this scene"
-            fail("state", must, f"beads {i} and {j} overlap by {-gap[i, j]:.3g}")
+            fail("state", must, f"beads {i} and {j} overlap by {-gap:.3g}")

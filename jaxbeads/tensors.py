@@ -2,7 +2,7 @@
 strain. Pure functions of positions; viscosity 1 unless said.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import reduce
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .pairs import CROSS, Field, PairTensor, Signed, Table
+from .pairs import CROSS, Field, PairTensor, Radii, Signed, Table, pair_sums, radii_of, separations
 from .state import Load, Motion, spins
 
 
@@ -19,13 +19,6 @@ class _Separation(NamedTuple):
     vector: list[Field]  # r_i - r_j
     distance: Field  # 0 on the diagonal
     inverse: Field  # 1 / distance, 0 where the distance is 0
-
-
-def _vectors(position: Float[Array, "beads dim"]) -> list[Field]:
-    # Products, not broadcasts: their derivatives in reverse are products with ones, which XLA does not
-    # merge with what makes the fields (it would make them once for each bead).
-    one = jnp.ones((1, len(position)), position.dtype)
-    return [x[:, None] @ one - one.T @ x[None, :] for x in position.T]
 
 
 def _separation(vector: list[Field]) -> _Separation:
@@ -84,8 +77,7 @@ def _overlap_rt(r: Array, a: Array, b: Array) -> Array:
     )
 
 
-def _unequal(s: _Separation, radii: Float[Array, " beads"]) -> _Scalars:
-    a, b = radii[:, None], radii[None, :]
+def _unequal(s: _Separation, a: Array, b: Array) -> _Scalars:
     inside = s.distance <= jnp.abs(a - b)  # one sphere within the other; also the diagonal
     near = s.distance <= a + b
     r = jnp.where(inside, a + b, s.distance)  # a regular value where the branch is not taken
@@ -133,12 +125,9 @@ def rpy(
     References: Wajnryb, Mizerski, Zuk & Szymczak, J. Fluid Mech. 731 (2013) R3 (equal radii); Zuk,
     Wajnryb, Mizerski & Szymczak, J. Fluid Mech. 741 (2014) R5 (unequal radii).
     """
-    return _rpy(_vectors(position), radius, viscosity, rotational)
-
-
-def _rpy(vector: list[Field], radius: Array, viscosity: Array, rotational: bool) -> PairTensor:
+    vector, radii = separations(position, position), radii_of(radius, radius)
     s, dim, turns = _separation(vector), len(vector), spins(len(vector))
-    scalars = _equal(s, radius) if radius.ndim == 0 else _unequal(s, radius)
+    scalars = _unequal(s, *radii) if isinstance(radii, tuple) else _equal(s, radii)
     # Each field ends in a division. XLA on the CPU evaluates cheap producers anew in each consumer
     # but never a division, so this keeps a field from being computed again for every use.
     tt = _dyads(scalars.tt1, scalars.tt2, s.vector, viscosity)
@@ -165,22 +154,36 @@ def rpy_motion(
     load: Load,
 ) -> Motion:
     """M F as `rpy(...).motion(load)`, but pair by pair: no field outlives the sum that it goes into, and
-    derivatives need no outer products.
+    derivatives need no outer products. Memory grows like the number of beads (see `pair_sums`).
 
     **Arguments**: as for `rpy`; loads. **Returns** a `Motion`.
     """
-    # A product with ones sums faster than `sum`; for the division see `_rpy`.
-    ones = jnp.ones(len(position), position.dtype)
-    sums = [(f / viscosity) @ ones for f in _pushed(_vectors(position), radius, rotational, load)]
-    dim = position.shape[1]
+
+    def fields(vector: list[Field], radii: Radii) -> list[Field]:
+        return [f / viscosity for f in _pushed(vector, radii, rotational, load)]  # see `rpy`
+
+    sums, dim = _sums(fields, position, radius), position.shape[1]
     velocity = jnp.stack(sums[:dim], axis=1)
     return Motion(velocity, jnp.stack(sums[dim:], axis=1) if rotational else None)
 
 
-def _pushed(vector: list[Field], radius: Array, rotational: bool, load: Load) -> tuple[Field, ...]:
+def _sums(
+    fields: Callable[[list[Field], Radii], Sequence[Field]], position: Array, radius: Array
+) -> list[Array]:
+    """Sums over j of functions of r_i - r_j and the radii."""
+    if radius.ndim == 0:
+        return pair_sums(lambda to, of: fields(separations(to, of), radius), position)
+
+    def unequal(to: tuple[Array, Array], of: tuple[Array, Array]) -> Sequence[Field]:
+        return fields(separations(to[0], of[0]), radii_of(to[1], of[1]))
+
+    return pair_sums(unequal, (position, radius))
+
+
+def _pushed(vector: list[Field], radii: Radii, rotational: bool, load: Load) -> tuple[Field, ...]:
     """What the load on bead j adds to each component of velocity and spin of bead i; viscosity 1."""
     s, dim, turns = _separation(vector), len(vector), spins(len(vector))
-    k = _equal(s, radius) if radius.ndim == 0 else _unequal(s, radius)
+    k = _unequal(s, *radii) if isinstance(radii, tuple) else _equal(s, radii)
     force = None if load.force is None else list(load.force.T[:, None, :])
     torque = None if load.torque is None else list(load.torque.T[:, None, :])
 
@@ -227,8 +230,7 @@ def _strain_equal(s: _Separation, a: Array) -> tuple[Array, Array, Array]:
     return c1, c2, cr
 
 
-def _strain_unequal(s: _Separation, radii: Array) -> tuple[Array, Array, Array]:
-    a, b = radii[:, None], radii[None, :]
+def _strain_unequal(s: _Separation, a: Array, b: Array) -> tuple[Array, Array, Array]:
     inside, near = s.distance <= jnp.abs(a - b), s.distance <= a + b
     r = jnp.where(inside, a + b, s.distance)
     d, r2, sq = a - b, r**2, 5 * a**2 + 3 * b**2
@@ -262,19 +264,23 @@ def shear_disturbance(
 
     Reference: Wajnryb et al., J. Fluid Mech. 731 (2013) R3; Zuk et al., ibid. 741 (2014) R5.
     """
-    beads, dim = position.shape
-    ones = jnp.ones(beads, position.dtype)  # a product with ones sums faster than `sum`
-    sums = [f @ ones for f in _disturbance(_vectors(position), radius, strain_rate, rotational)]
+    dim = position.shape[1]
+
+    def fields(vector: list[Field], radii: Radii) -> tuple[Field, ...]:
+        return _disturbance(vector, radii, strain_rate, rotational)
+
+    sums = _sums(fields, position, radius)
     velocity = jnp.stack(sums[:dim], axis=1)
     return Motion(velocity, jnp.stack(sums[dim:], axis=1) if rotational else None)
 
 
 def _disturbance(
-    vector: list[Field], radius: Array, strain_rate: Array, rotational: bool
+    vector: list[Field], radii: Radii, strain_rate: Array, rotational: bool
 ) -> tuple[Field, ...]:
     """What the strain at bead j adds to each component of velocity and spin of bead i."""
     s, dim, d = _separation(vector), len(vector), vector
-    c1, c2, cr = _strain_equal(s, radius) if radius.ndim == 0 else _strain_unequal(s, radius)
+    unequal = isinstance(radii, tuple)
+    c1, c2, cr = _strain_unequal(s, *radii) if unequal else _strain_equal(s, radii)
     # One tensor: numbers; one for each bead: rows along j.
     rows = strain_rate if strain_rate.ndim == 2 else strain_rate[None]
     e = [[rows[..., i, j] for j in range(dim)] for i in range(dim)]
@@ -308,16 +314,17 @@ def rpy_gradient(
     **Arguments**: as for `rpy`; loads; rate of strain as a function of positions (see
     `shear_disturbance`) or `None`; shifts [length]. **Returns** motions, a leading axis of shifts.
     """
-    dim, vectors = position.shape[1], _vectors(position)
+    dim, vectors = position.shape[1], separations(position, position)
+    radii = radii_of(radius, radius)
     loaded = load.force is not None or load.torque is not None
 
     def pairs(vector: list[Field], rate: Array | None) -> tuple[Field, ...]:
         moved: list[tuple[Field, ...]] = []
         if loaded:
-            pushed = _pushed(vector, radius, rotational, load)
+            pushed = _pushed(vector, radii, rotational, load)
             moved.append(tuple(f / viscosity for f in pushed))
         if rate is not None:
-            moved.append(_disturbance(vector, radius, rate, rotational))
+            moved.append(_disturbance(vector, radii, rate, rotational))
         return tuple(reduce(jnp.add, parts) for parts in zip(*moved, strict=True))
 
     rate = None if strain is None else strain(position)
@@ -329,7 +336,7 @@ def rpy_gradient(
         # The strain at bead j changes with its place.
         shift = jnp.broadcast_to(units[:, None, :, 0, 0], (dim, *position.shape))
         slope = jax.vmap(jax.linearize(strain, position)[1])(shift)
-        others = jax.vmap(lambda e: _disturbance(vectors, radius, e, rotational))(slope)
+        others = jax.vmap(lambda e: _disturbance(vectors, radii, e, rotational))(slope)
         slopes = [f - g for f, g in zip(slopes, others, strict=True)]
     total = [
         jnp.einsum("sic,ci->si", shifts, o) - jnp.einsum("sjc,cij->si", shifts, f)

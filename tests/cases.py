@@ -33,7 +33,13 @@ from jaxbeads.force import (
 from jaxbeads.mobility import RPY, FreeDraining
 from jaxbeads.solver import Rosenbrock
 
-MOBILITIES = [FreeDraining(), RPY(), RPY(strained=False)]
+MOBILITIES = [
+    FreeDraining(),
+    RPY(),
+    RPY(strained=False),
+    FreeDraining(dense=False),
+    RPY(dense=False),
+]
 
 CONSTRAINTS = [
     Gears(),
@@ -88,7 +94,8 @@ def name(case):
     """A readable test id."""
     case = case[0] if isinstance(case, tuple) else case
     law = f"-{type(case.law).__name__}" if hasattr(case, "law") else ""
-    return type(case).__name__ + law
+    free = "-free" if getattr(case, "dense", None) is False else ""
+    return type(case).__name__ + law + free
 
 
 def bent(chain: Chain, dim: int = 2, seed: int = 0, centre=None) -> State:

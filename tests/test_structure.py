@@ -13,7 +13,7 @@ PACKAGE = Path(jaxbeads.__file__).parent
 
 # A module imports from earlier rows only (and, in a row, what `base` modules allow).
 ORDER = [
-    {"_typing", "_checks", "loops", "factors"},
+    {"_typing", "_checks", "loops", "factors", "iterations"},
     {"vary", "optimise", "chunks", "cache"},
     {"state", "geometry"},
     {"pairs"},
@@ -21,7 +21,9 @@ ORDER = [
     {"chain", "flow", "actuation", "numbers"},
     {"mobility", "constraint", "force"},
     {"scene"},
-    {"coordinates", "dynamics"},
+    {"windows"},
+    {"coordinates", "saddle"},
+    {"dynamics"},
     {"linearise", "observables"},
     {"solver", "steady"},
     {"rollout"},

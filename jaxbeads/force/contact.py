@@ -4,12 +4,12 @@ from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from .._checks import non_negative, positive, shape
 from .._typing import float_array
 from ..chain import Chain
+from ..pairs import pair_sums, separations
 from ..state import Load, State
 from .base import AbstractForce, repulsion
 
@@ -42,13 +42,20 @@ class Contact(AbstractForce):
 
     def load(self, t: Float[Array, ""], state: State, chain: Chain) -> Load:
         """Forces on the beads; they sum to zero."""
-        i, fibre = np.arange(chain.beads), chain.fibre_of_bead
-        near = (abs(i[:, None] - i[None, :]) <= 1) & (fibre[:, None] == fibre[None, :])
-        d = [x[:, None] - x[None, :] for x in state.position.T]
-        square = sum(x * x for x in d)
-        skip = near | (square == 0)  # coincident beads have no line of centres
-        distance = jnp.sqrt(jnp.where(skip, 1.0, square))
-        gap = distance - chain.radii[:, None] - chain.radii[None, :]
-        push = jnp.where(skip, 0.0, repulsion(gap, self.roughness, self.decay) / distance)
-        force = jnp.stack([jnp.sum(push * x, axis=1) for x in d], axis=1)
-        return Load(force=self.strength * force)
+        index = jnp.arange(chain.beads)
+        beads = state.position, chain.radii, index, jnp.asarray(chain.fibre_of_bead)
+
+        def fields(to: tuple[Array, ...], of: tuple[Array, ...]) -> list[Array]:
+            d = separations(to[0], of[0])
+            radii, apart, other = (
+                x[:, None] + sign * y[None, :]
+                for x, y, sign in zip(to[1:], of[1:], (1, -1, -1), strict=True)
+            )
+            square = sum(x * x for x in d)
+            # Neighbours may touch; coincident beads have no line of centres.
+            skip = (jnp.abs(apart) <= 1) & (other == 0) | (square == 0)
+            distance = jnp.sqrt(jnp.where(skip, 1.0, square))
+            push = repulsion(distance - radii, self.roughness, self.decay) / distance
+            return [jnp.where(skip, 0.0, push) * x for x in d]
+
+        return Load(force=self.strength * jnp.stack(pair_sums(fields, beads), axis=1))

@@ -2,13 +2,18 @@
 
 import abc
 from collections.abc import Callable
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
+from .._checks import fail
+from ..pairs import PairTensor
 from ..state import Load, Motion, add_motions
+
+MOST_DENSE = 1000
+"""Beads up to which a mobility is dense unless it is told otherwise."""
 
 
 @runtime_checkable
@@ -16,7 +21,8 @@ class MobilityOperator(Protocol):
     """The mobility M of one configuration, applied to loads.
 
     A `pairs.PairTensor` is one; so is any object with this method. The fast assembly of the
-    constraint matrix needs a `PairTensor`; everything else works with any operator.
+    constraint matrix needs a `PairTensor`, iterations a `MatrixFree`; everything else works with any
+    operator.
     """
 
     def motion(self, load: Load) -> Motion:
@@ -24,11 +30,32 @@ class MobilityOperator(Protocol):
         ...
 
 
+@runtime_checkable
+class MatrixFree(MobilityOperator, Protocol):
+    """A mobility that is nowhere kept as a whole. The multipliers are found by iterations, see
+    `windows`, and no array grows faster than the number of beads."""
+
+    def among(self, beads: Int[Array, " some"]) -> PairTensor:
+        """The mobility of some beads, as tables."""
+        ...
+
+
+def check_dense(dense: Any) -> None:
+    """Refuse a choice that is none."""
+    if not (dense is None or isinstance(dense, bool)):
+        fail("dense", "be True, False or None", f"it is {dense!r}")
+
+
 class AbstractMobility(eqx.Module):
     """Linear relation of loads and motion in Stokes flow, for any configuration of beads.
 
     Qdot = M(Q) F + V_inf + C(Q) : E, eq. (13) of Delmotte, Climent & Plouraboué (2015).
     """
+
+    def is_dense(self, beads: int) -> bool:
+        """Whether the multipliers of so many beads are found by a factorisation; otherwise `operator`
+        is `MatrixFree`."""
+        return True
 
     @abc.abstractmethod
     def operator(

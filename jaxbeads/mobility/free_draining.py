@@ -3,11 +3,13 @@
 from collections.abc import Callable
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
+from ..pairs import PairTensor
 from ..state import Load, Motion, State, zero_motion
-from .base import AbstractMobility
+from .base import MOST_DENSE, AbstractMobility, check_dense
 
 
 class _Drag(eqx.Module):
@@ -25,11 +27,42 @@ class _Drag(eqx.Module):
         return Motion(velocity, spin)
 
 
+class _FreeDrag(_Drag):
+    """The same, for iterations."""
+
+    def among(self, beads: Int[Array, " some"]) -> PairTensor:
+        """The mobility of some beads, as tables."""
+        own, none = jnp.eye(len(beads), dtype=self.rest.velocity.dtype), None
+
+        def diagonal(mobility: Array, size: int) -> tuple[tuple[Array, ...], ...]:
+            field = own * (mobility if mobility.ndim == 0 else mobility[beads])
+            return tuple(tuple(field * (i == j) for j in range(size)) for i in range(size))
+
+        dim, spin = self.rest.velocity.shape[1], self.rest.spin
+        tt = diagonal(self.translation, dim)
+        if spin is None:
+            return PairTensor(tt)
+        turns = spin.shape[1]
+        tr, rt = ((none,) * turns,) * dim, ((none,) * dim,) * turns
+        return PairTensor(tt, tr, rt, diagonal(self.rotation, turns))
+
+
 class FreeDraining(AbstractMobility):
     """No hydrodynamic interactions: v = F/(6 pi mu a), w = T/(8 pi mu a^3), C = 0.
 
     The cheapest model; a straight chain then has the same friction along and across.
+
+    **Argument**: `dense`: as for `RPY`; otherwise operations grow like the number of beads as well.
     """
+
+    dense: bool | None = eqx.field(static=True, default=None)
+
+    def __check_init__(self) -> None:
+        check_dense(self.dense)
+
+    def is_dense(self, beads: int) -> bool:
+        """As `dense` says."""
+        return beads <= MOST_DENSE if self.dense is None else self.dense
 
     def operator(
         self,
@@ -41,7 +74,8 @@ class FreeDraining(AbstractMobility):
         """Diagonal mobility."""
         a = radius if radius.ndim == 0 else radius[:, None]
         translation, rotation = 6 * np.pi * viscosity * a, 8 * np.pi * viscosity * a**3
-        return _Drag(1 / translation, 1 / rotation, zero_motion(State(position), rotational))
+        drag = _Drag if self.is_dense(len(position)) else _FreeDrag
+        return drag(1 / translation, 1 / rotation, zero_motion(State(position), rotational))
 
     def shear_disturbance(
         self,

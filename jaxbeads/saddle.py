@@ -1,0 +1,216 @@
+"""The saddle-point system of one instant: constraints as linear maps, S = J M J^T, its solution."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from ._checks import fail
+from .constraint import AbstractChainConstraint
+from .factors import cholesky, cholesky_solve
+from .iterations import conjugate_gradients
+from .mobility import MatrixFree, MobilityOperator
+from .pairs import PairTensor
+from .scene import Scene
+from .state import Load, Motion, State, add_motions, zero_motion
+from .windows import Banded, Windows
+
+Time = Float[Array, ""] | float
+
+MOST_OTHERS = 1000
+"""Rows of S beside those of the chain constraint that iterations can carry."""
+
+
+class Evaluation(NamedTuple):
+    """What one instant yields."""
+
+    motion: Motion
+    multipliers: Array
+    """Lagrange multipliers of all constraints in turn, raveled [force]."""
+
+
+def slips(t: Time, state: State, scene: Scene) -> Callable[[Motion], Array]:
+    """All constraints' residuals as one vector; affine in the motion."""
+
+    def slip(motion: Motion) -> Array:
+        rows = (c.slip(jnp.asarray(t), state, motion, scene.chain) for c in scene.constraints)
+        return jnp.concatenate([jnp.ravel(row) for row in rows])
+
+    return slip
+
+
+class ConstraintMap(NamedTuple):
+    """J as a pair of linear functions."""
+
+    slip: Callable[[Motion], Array]  # J Qdot + B
+    offset: Array  # B
+    pull: Callable[[Array], Load]  # J^T lambda
+
+    def compliance(self, operator: MobilityOperator, multipliers: Array) -> Array:
+        """J M J^T lambda."""
+        return self.slip(operator.motion(self.pull(multipliers))) - self.offset
+
+
+def constraint_map(t: Time, state: State, scene: Scene) -> ConstraintMap:
+    slip = slips(t, state, scene)
+    offset, transpose = jax.vjp(slip, zero_motion(state, scene.rotational))
+
+    def pull(multipliers: Array) -> Load:
+        (pulled,) = transpose(multipliers)
+        return Load(pulled.velocity, pulled.spin)
+
+    return ConstraintMap(slip, offset, pull)
+
+
+def matrix(t: Time, state: State, scene: Scene, operator: MobilityOperator) -> Array:
+    """S = J M J^T, its lower triangle.
+
+    The first constraint assembles its own block where it can. All other rows are found by applying
+    M to one unit multiplier after the other, vectorised.
+    """
+    j = constraint_map(t, state, scene)
+    rows, first, time = j.offset.shape[0], scene.constraints[0], jnp.asarray(t)
+    block = None
+    if isinstance(first, AbstractChainConstraint) and isinstance(operator, PairTensor):
+        block = first.assemble(time, state, operator, scene.chain)
+    known = 0 if block is None else block.shape[0]
+    units = jnp.eye(rows - known, rows, known, dtype=j.offset.dtype)
+    rest = jax.vmap(lambda unit: j.compliance(operator, unit))(units)
+    # Rows that read no motion (as those of a chain constraint between two fibres) stay regular.
+    empty = jnp.diagonal(rest, known) == 0
+    rest = jnp.where(empty[:, None], units, rest)
+    if block is None:
+        return rest
+    return (
+        jnp.concatenate([jnp.pad(block, ((0, 0), (0, rows - known))), rest]) if len(rest) else block
+    )
+
+
+Product = Callable[[Array], Array]
+
+
+class Factorised(NamedTuple):
+    """S, factorised."""
+
+    factor: Array
+    regular: Array
+    """Whether the rows of J are independent."""
+
+    def solve(self, _: Product, rhs: Array) -> Array:
+        """S^-1 rhs; NaN where S is singular."""
+        return cholesky_solve(self.factor, jnp.where(self.regular, rhs, jnp.nan))
+
+
+class Iterations(eqx.Module):
+    """S as a product, with S' = J M' J^T for a preconditioner (see `windows`): the block of the chain
+    constraint banded, all other rows eliminated against it."""
+
+    chain: Banded | None
+    coupling: Float[Array, "others chained"]
+    response: Float[Array, "chained others"]
+    factor: Float[Array, "others others"]
+    place: tuple[int, int] = eqx.field(static=True)
+    """Rows of the chain constraint, from and to."""
+
+    def solve(self, product: Product, rhs: Array) -> Array:
+        """S^-1 rhs; NaN where the iterations do not converge."""
+        return conjugate_gradients(product, rhs, self.precondition).solution
+
+    def precondition(self, residual: Array) -> Array:
+        """S'^-1 r."""
+        first, last = self.place
+        others = jnp.concatenate([residual[:first], residual[last:]])
+        chained = residual[first:last]
+        if self.chain is not None:
+            chained = self.chain.solve(chained)
+        if len(others) == 0:
+            return chained
+        others = cholesky_solve(self.factor, others - self.coupling @ chained)
+        chained = chained - self.response @ others
+        return jnp.concatenate([others[:first], chained, others[first:]])
+
+
+def _factorised(t: Time, state: State, scene: Scene, operator: MobilityOperator) -> Factorised:
+    s = matrix(t, state, scene, operator)
+    factor = cholesky(s.T)
+    # A row that depends on those before it leaves a pivot of rounding size, or NaN.
+    pivot = jnp.diagonal(factor) ** 2 / jnp.diagonal(s)
+    regular = jnp.min(pivot, initial=1.0) > 10 * len(pivot) * jnp.finfo(pivot.dtype).eps
+    return Factorised(factor, regular)
+
+
+def _iterations(t: Time, state: State, scene: Scene, operator: MatrixFree) -> Iterations:
+    windows, j = Windows(state, operator, scene.chain), constraint_map(t, state, scene)
+    still, rows = zero_motion(state, scene.rotational), len(j.offset)
+    banded, first, last = None, 0, 0
+    for constraint in scene.constraints:
+        if isinstance(constraint, AbstractChainConstraint) and scene.chain.beads > 1:
+            size = np.size(constraint.slip(jnp.asarray(t), state, still, scene.chain))
+            banded, last = windows.factor(jnp.asarray(t), constraint), first + size
+            break
+        first += np.size(constraint.slip(jnp.asarray(t), state, still, scene.chain))
+    else:
+        first = 0
+    others = np.r_[:first, last:rows]
+    if len(others) > MOST_OTHERS:
+        must = f"have at most {MOST_OTHERS} rows beside a chain's where the mobility is not dense"
+        fail(
+            "scene.constraints", must, f"they have {len(others)} (`RPY(dense=True)` makes it dense)"
+        )
+
+    def row(index: Array) -> Array:
+        unit = jnp.zeros(rows, j.offset.dtype).at[index].set(1.0)
+        return j.slip(windows.motion(j.pull(unit), still)) - j.offset
+
+    whole = lax.map(row, jnp.asarray(others, int)) if len(others) else jnp.zeros((0, rows))
+    coupling, factor = whole[:, first:last], whole[:, others]
+    empty = jnp.diagonal(factor) == 0
+    factor = factor + jnp.diag(empty * 1.0)
+    response = coupling.T
+    if banded is not None and len(others):
+        response = jax.vmap(banded.solve, out_axes=1)(coupling)
+    factor = cholesky(factor - coupling @ response)
+    return Iterations(banded, coupling, response, factor, (first, last))
+
+
+class SaddlePoint(NamedTuple):
+    """The saddle-point system of one instant, ready to be solved."""
+
+    operator: MobilityOperator
+    constraints: ConstraintMap
+    solver: Factorised | Iterations
+
+    def multipliers(self, slip: Array) -> Array:
+        """-S^-1 slip; NaN where S is singular."""
+
+        def compliance(x: Array) -> Array:
+            return self.constraints.compliance(self.operator, x)
+
+        return lax.custom_linear_solve(compliance, -slip, self.solver.solve, symmetric=True)
+
+    def pulled(self, multipliers: Array) -> Motion:
+        """M J^T lambda."""
+        return self.operator.motion(self.constraints.pull(multipliers))
+
+    def hold(self, free: Motion) -> Evaluation:
+        """The motion without constraints made to meet them."""
+        multipliers = self.multipliers(self.constraints.slip(free))
+        return Evaluation(add_motions(free, self.pulled(multipliers)), multipliers)
+
+
+def mobility_operator(state: State, scene: Scene) -> MobilityOperator:
+    radius, viscosity = scene.chain.radius, scene.viscosity
+    return scene.mobility.operator(state.position, radius, viscosity, scene.rotational)
+
+
+def saddle_point(t: Time, state: State, scene: Scene, operator: MobilityOperator) -> SaddlePoint:
+    held = lax.stop_gradient(operator)
+    instant = lax.stop_gradient((t, state, scene))
+    free = isinstance(held, MatrixFree)
+    solver = _iterations(*instant, held) if free else _factorised(*instant, held)
+    return SaddlePoint(operator, constraint_map(t, state, scene), solver)

@@ -1,0 +1,138 @@
+"""A sparse neighbour of S = J M J^T, factorised along the chain: the preconditioner of large scenes.
+
+M is cut into overlapping windows of neighbouring beads, M' = sum over windows of w M w with weights w
+whose squares sum to one at each bead: every term is positive, so M' is, and beads keep their own
+mobility. With w = sin(pi i / 2h) over 2h beads, windows h apart, neighbours d apart keep cos(pi d / 2h)
+of their interaction. S' = J M' J^T couples a bond with those of the next window only. It holds what
+makes S ill conditioned, the stiff differences of neighbours; what is left, the far field of slow modes,
+changes by little more than a factor of two along any fibre, and iterations hardly grow in number.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from .chain import Chain
+from .constraint import AbstractChainConstraint
+from .factors import cholesky, inverse_of_triangle
+from .mobility import MatrixFree
+from .state import Load, Motion, State
+
+HALF = 32
+"""Bonds in half a window."""
+_STEPS = np.arange(2 * HALF + 1)
+_WEIGHTS = np.where(_STEPS < 2 * HALF, np.sin(np.pi * _STEPS / (2 * HALF)), 0.0)
+
+
+class Banded(eqx.Module):
+    """L of S' = L L^T by groups of `HALF` bonds: its diagonal blocks, inverted, and those below."""
+
+    inverse: Float[Array, "groups size size"]
+    below: Float[Array, "groups size size"]  # from the group before
+    bonds: int = eqx.field(static=True)
+
+    def solve(self, rhs: Float[Array, " rows"]) -> Float[Array, " rows"]:
+        """S'^-1 rhs."""
+        groups, size, _ = self.inverse.shape
+        parts = self._cut(rhs)
+
+        def forward(before: Array, group: tuple[Array, ...]) -> tuple[Array, Array]:
+            inverse, below, part = group
+            found = inverse @ (part - below @ before)
+            return found, found
+
+        def backward(after: Array, group: tuple[Array, ...]) -> tuple[Array, Array]:
+            inverse, below, part = group
+            found = inverse.T @ (part - after)
+            return below.T @ found, found
+
+        still = jnp.zeros(size, rhs.dtype)
+        _, half = lax.scan(forward, still, (self.inverse, self.below, parts))
+        _, found = lax.scan(backward, still, (self.inverse, self.below, half), reverse=True)
+        rows = jnp.swapaxes(found.reshape(groups, -1, HALF), 0, 1)
+        return rows.reshape(len(rows), -1)[:, : self.bonds].ravel()
+
+    def _cut(self, rhs: Array) -> Float[Array, "groups size"]:
+        """Numbers (component, bond) by groups of bonds, with zeros for those that do not exist."""
+        groups, size, _ = self.inverse.shape
+        rows = rhs.reshape(size // HALF, self.bonds)
+        padded = jnp.pad(rows, ((0, 0), (0, groups * HALF - self.bonds)))
+        return jnp.swapaxes(padded.reshape(-1, groups, HALF), 0, 1).reshape(groups, size)
+
+
+class Windows(NamedTuple):
+    """M' of one configuration."""
+
+    state: State
+    operator: MatrixFree
+    chain: Chain
+
+    @property
+    def number(self) -> int:
+        """Number of windows; window k holds beads from (k - 1) HALF."""
+        return -(-max(self.chain.beads - 1, 1) // HALF) + 1
+
+    def each(self, function: Callable[[Array, Array], Any]) -> Any:
+        """function(beads, weights) of each window, one after the other."""
+
+        def turn(k: Array) -> Any:
+            beads = (k - 1) * HALF + jnp.arange(2 * HALF + 1)
+            there = (beads >= 0) & (beads < self.chain.beads)
+            weights = jnp.asarray(_WEIGHTS, self.state.position.dtype) * there
+            return function(jnp.clip(beads, 0, self.chain.beads - 1), weights)
+
+        return lax.map(turn, jnp.arange(self.number))
+
+    def motion(self, load: Load, still: Motion) -> Motion:
+        """M' F."""
+
+        def one(beads: Array, weights: Array) -> tuple[Array, Motion]:
+            w = weights[:, None]
+            part = jax.tree.map(lambda x: w * x[beads], load)
+            return beads, jax.tree.map(lambda v: w * v, self.operator.among(beads).motion(part))
+
+        beads, moved = self.each(one)
+        return jax.tree.map(lambda v, part: v.at[beads].add(part), still, moved)
+
+    def factor(self, t: Array, constraint: AbstractChainConstraint) -> Banded:
+        """S' of a chain constraint, factorised."""
+        state, chain = self.state, self.chain
+        bonds, groups = chain.beads - 1, self.number - 1
+
+        def block(beads: Array, weights: Array) -> Array:
+            tensor = jax.tree.map(
+                lambda f: f * (weights[:, None] * weights[None, :]), self.operator.among(beads)
+            )
+            radius = chain.radius if chain.radius.ndim == 0 else chain.radius[beads]
+            part = Chain(radius, len(beads), chain.gap)
+            here = jax.tree.map(lambda x: x[beads], state)
+            lower = jnp.tril(constraint.assemble(t, here, tensor, part))
+            whole = lower + jnp.tril(lower, -1).T
+            # (component, first or second half, bond) twice
+            cut = whole.reshape(-1, 2, HALF, len(whole) // (2 * HALF), 2, HALF)
+            return cut.transpose(1, 4, 0, 2, 3, 5).reshape(2, 2, len(whole) // 2, -1)
+
+        parts = self.each(block)
+        diagonal = parts[1:, 0, 0] + parts[:-1, 1, 1]
+        below = jnp.roll(parts[1:, 1, 0], 1, axis=0)
+        mask = np.pad(chain.bond_mask, (0, groups * HALF - bonds)).reshape(groups, HALF)
+        mask = np.tile(mask, (1, diagonal.shape[1] // HALF))
+        before = np.roll(mask, 1, axis=0) & (np.arange(groups) > 0)[:, None]
+        diagonal = jnp.where(mask[:, :, None] & mask[:, None, :], diagonal, 0.0)
+        diagonal = jnp.where(np.eye(mask.shape[1], dtype=bool) & ~mask[:, :, None], 1.0, diagonal)
+        below = jnp.where(mask[:, :, None] & before[:, None, :], below, 0.0)
+
+        def step(inverse: Array, group: tuple[Array, Array]) -> tuple[Array, tuple[Array, Array]]:
+            own, below = group
+            below = below @ inverse.T
+            inverse = inverse_of_triangle(cholesky(own - below @ below.T))
+            return inverse, (inverse, below)
+
+        first = jnp.eye(mask.shape[1], dtype=diagonal.dtype)
+        return Banded(*lax.scan(step, first, (diagonal, below))[1], bonds)
