@@ -1,0 +1,222 @@
+"""Time, memory, iterations and error of one instant against the number of beads, up to 10^4.
+
+    python benchmarks/scaling.py [--quick] [--json]
+
+Settling Gears fibres in space (weight, bending, RPY with rotation), bent to an S. Without dense matrices
+(`RPY(dense=False)`): one product of the mobility with forces and torques (6N numbers), an evaluation
+(loads, multipliers by iterations, velocities and spins), and its value with the gradient by all numbers
+of scene and state; and a dense evaluation where that is practical. The error is the largest difference
+of the velocities from the dense ones, over the largest. Two checks stand for it at any size: the
+residual, the largest slip of the constraints over the largest velocity, and the product's error at
+sampled beads, whose velocities NumPy sums from the tensors of pairs. Memory is what the compiled gradient
+needs beside its arguments; `memory_gib` is the most that the whole process ever had, the run of 10^4
+beads included: 100 fibres of 100 beads, followed by AB3 and again with steps of half the length, whose
+difference is the error in time. Exponents are slopes of log time over log N from 1000 beads on.
+"""
+
+import argparse
+import json
+import resource
+import statistics
+import time
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxbeads as jb
+from jaxbeads import dynamics, saddle, tensors
+from jaxbeads.constraint import Gears
+from jaxbeads.force import Bending, Weight
+from jaxbeads.iterations import conjugate_gradients
+from jaxbeads.mobility import RPY
+
+jax.config.update("jax_enable_x64", True)
+MOST_DENSE = 1000
+COLUMNS = ("product_ms", "evaluation_ms", "dense_ms", "gradient_ms", "iterations")
+ERRORS = ("error", "residual", "product_error", "memory_mib")
+
+
+def suspension(fibres: tuple[int, ...]) -> tuple[jb.Scene, jb.State]:
+    """Fibres on a lattice, each bent to an S in a plane of its own."""
+    chain, rng = jb.Chain(1.0, fibres), np.random.default_rng(0)
+    tangents = []
+    for beads in fibres:
+        s = np.linspace(0, 1, beads)
+        angle, plane = 0.5 * np.sin(2 * np.pi * s), rng.uniform(0, 2 * np.pi)
+        up, aside = np.sin(angle), 0.3 * np.cos(2 * angle)
+        turned = (
+            np.cos(plane) * up - np.sin(plane) * aside,
+            np.sin(plane) * up + np.cos(plane) * aside,
+        )
+        tangents.append(np.stack([np.cos(angle), *turned], axis=1))
+    places = np.stack(np.unravel_index(np.arange(len(fibres)), (4, 5, 5)), axis=1)
+    centres = places * np.array([2.2 * max(fibres), 0.8 * max(fibres), 0.8 * max(fibres)])
+    scene = jb.Scene(
+        chain,
+        1.0,
+        RPY(dense=False),
+        constraints=[Gears()],
+        forces=[Weight([0.0, -1.0, 0.0]), Bending(float(max(fibres)))],
+    )
+    return scene, jb.State(jb.from_tangents(chain, np.concatenate(tangents)[:-1], centres))
+
+
+def median_ms(function: Any, *arguments: Any, budget: float = 2.0) -> float:
+    """Median of as many rounds as fit into some seconds; at least one."""
+    times: list[float] = []
+    while not times or sum(times) < budget:
+        start = time.perf_counter()
+        jax.block_until_ready(function(*arguments))
+        times.append(time.perf_counter() - start)
+    return 1e3 * statistics.median(times)
+
+
+@eqx.filter_jit
+def evaluation(state: jb.State, scene: jb.Scene) -> tuple[jb.Motion, jax.Array]:
+    """The motion, and the largest slip of its constraints."""
+    moved = dynamics.motion(0.0, state, scene)
+    slip = saddle.slips(0.0, state, scene)(moved)
+    return moved, jnp.max(jnp.abs(slip)) / jnp.max(jnp.abs(moved.velocity))
+
+
+@eqx.filter_jit
+def count(state: jb.State, scene: jb.Scene) -> jax.Array:
+    """Iterations for the multipliers."""
+    operator = saddle.mobility_operator(state, scene)
+    system = saddle.saddle_point(0.0, state, scene, operator)
+    j, precondition = system.constraints, system.solver.precondition
+    rhs = -j.slip(dynamics.free_motion(0.0, state, scene, operator))
+    return conjugate_gradients(lambda x: j.compliance(operator, x), rhs, precondition).iterations
+
+
+@jax.jit
+def product(state: jb.State, scene: jb.Scene, load: jb.Load) -> jb.Motion:
+    return saddle.mobility_operator(state, scene).motion(load)
+
+
+gradient = jax.jit(
+    lambda both: eqx.filter_value_and_grad(
+        lambda both: jnp.sum(dynamics.motion(0.0, *both).velocity[::7] ** 2)
+    )(both)
+)
+
+
+def sampled_error(state: jb.State, scene: jb.Scene, load: jb.Load, moved: jb.Motion) -> float:
+    """Error of some beads' velocities against sums in NumPy of the tensors of pairs, each by itself."""
+    x, worst = state.position, 0.0
+    radius, viscosity = scene.chain.radius, scene.viscosity
+    alone = jax.jit(jax.vmap(lambda pair: tensors.rpy(pair, radius, viscosity, True)))
+    for bead in np.random.default_rng(1).choice(len(x), 3, replace=False):
+        others = np.arange(len(x)) != bead
+        tensor = alone(jnp.stack([jnp.broadcast_to(x[bead], x.shape), x], axis=1))
+        velocity = np.zeros(3)
+        for i in range(3):
+            for j in range(3):
+                field = np.asarray(tensor.tt[i][j])
+                entries = np.where(others, field[:, 0, 1], field[:, 0, 0])
+                velocity[i] += entries @ np.asarray(load.force)[:, j]
+                if (entry := tensor.tr[i][j]) is not None:
+                    field = entry.sign * np.asarray(entry.field)[:, 0, 1] * others
+                    velocity[i] += field @ np.asarray(load.torque)[:, j]
+        error = np.abs(velocity - moved.velocity[bead]).max()
+        worst = max(worst, float(error / np.abs(moved.velocity).max()))
+    return worst
+
+
+def measure(fibres: tuple[int, ...], gradients: bool) -> dict[str, float]:
+    scene, state = suspension(fibres)
+    beads, rng = scene.chain.beads, np.random.default_rng(2)
+    load = jb.Load(*(jnp.asarray(rng.normal(size=(beads, 3))) for _ in range(2)))
+    moved, residual = evaluation(state, scene)
+    pushed = product(state, scene, load)
+    row = {
+        "product_ms": median_ms(product, state, scene, load),
+        "evaluation_ms": median_ms(evaluation, state, scene),
+        "iterations": int(count(state, scene)),
+        "residual": float(residual),
+        "product_error": sampled_error(state, scene, load, pushed),
+    }
+    if gradients:
+        compiled = gradient.lower((state, scene)).compile()
+        row["memory_mib"] = compiled.memory_analysis().temp_size_in_bytes / 2**20
+        jax.block_until_ready(gradient((state, scene)))
+        row["gradient_ms"] = median_ms(gradient, (state, scene))
+    if beads <= MOST_DENSE:
+        dense = eqx.tree_at(lambda s: s.mobility, scene, RPY(dense=True))
+        expected = evaluation(state, dense)[0].velocity
+        row["error"] = float(jnp.abs(moved.velocity - expected).max() / jnp.abs(expected).max())
+        row["dense_ms"] = median_ms(evaluation, state, dense)
+    return row
+
+
+def run(steps: int) -> dict[str, float]:
+    """100 fibres of 100 beads: seconds for a step, and how far half the step moves the end."""
+    scene, state = suspension((100,) * 100)
+    ts = [0.0, steps * float(jb.solver.explicit_step(scene))]
+    paths, elapsed = [], []
+    for substeps in (steps, 2 * steps):
+        start = time.perf_counter()
+        paths.append(jax.block_until_ready(jb.rollout(scene, state, ts, substeps=substeps)))
+        elapsed.append(time.perf_counter() - start)
+    ends = [path.final.position for path in paths]
+    way = jnp.abs(ends[1] - state.position).max()
+    return {
+        "steps": steps,
+        "step_s": (elapsed[1] - elapsed[0]) / steps,
+        "error_over_way": float(jnp.abs(ends[0] - ends[1]).max() / way),
+        "bond_length_error": float(paths[0].bond_length_error.max()),
+        "code": int(paths[0].code),
+    }
+
+
+def slope(rows: dict[str, dict[str, float]], name: str) -> float:
+    """Exponent of a column against the number of beads, from 1000 beads on."""
+    pairs = [(int(n), row[name]) for n, row in rows.items() if int(n) >= 1000 and name in row]
+    return float(np.polyfit(*np.log(np.array(pairs).T), 1)[0])
+
+
+def line(label: str, row: dict[str, float]) -> None:
+    cells = (f"{row[c]:14.3g}" if c in row else f"{'-':>14}" for c in (*COLUMNS, *ERRORS))
+    print(f"{label:<10}" + "".join(cells), flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument(
+        "--quick", action="store_true", help="fewer sizes, no gradient at 10^4, no run"
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="print one JSON object as the last line"
+    )
+    arguments = parser.parse_args()
+    sizes = (100, 1000, 3000, 10_000) if arguments.quick else (10, 30, 100, 300, 1000, 3000, 10_000)
+    print(f"{'beads':<10}" + "".join(f"{c:>14}" for c in (*COLUMNS, *ERRORS)))
+    rows = {}
+    for beads in sizes:
+        rows[str(beads)] = measure((beads,), beads <= 3000 or not arguments.quick)
+        line(str(beads), rows[str(beads)])
+    many = measure((100,) * (20 if arguments.quick else 100), False)
+    line("20 x 100" if arguments.quick else "100 x 100", many)
+    result: dict[str, Any] = {
+        "exponent": slope(rows, "evaluation_ms"),
+        "product_exponent": slope(rows, "product_ms"),
+        "iterations": max(row["iterations"] for row in rows.values()),
+        "rows": {**rows, "many": many},
+    }
+    if not arguments.quick:
+        result["run"] = run(4)
+        print("100 fibres of 100 beads:", json.dumps(result["run"]))
+    result["memory_gib"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    print(
+        f"time of an evaluation like N^{result['exponent']:.2f}, of a product like "
+        f"N^{result['product_exponent']:.2f}; most memory {result['memory_gib']:.2f} GiB"
+    )
+    if arguments.json:
+        print(json.dumps(result))
+
+
+if __name__ == "__main__":
+    main()
