@@ -117,7 +117,9 @@ def _instant_jvp(primals: Any, tangents: Any) -> tuple[Evaluation, Evaluation]:
     if system is None:
         return evaluation, Evaluation(motion, slip)
     change = system.multipliers(slip + system.constraints.slip(motion) - system.constraints.offset)
-    return evaluation, Evaluation(add_motions(motion, system.pulled(change)), change)
+    # Not by the operator, whose tables the backward pass would have to make again.
+    pulled = _mobile(state, scene, system.constraints.pull(change))
+    return evaluation, Evaluation(add_motions(motion, pulled), change)
 
 
 def _none(state: State) -> Array:
@@ -129,9 +131,14 @@ def _pushed(t: Array, state: State, scene: Scene, load: Load) -> Motion:
     ambient = ambient_motion(t, state, scene)
     if load.force is None and load.torque is None:
         return zero_motion(state, scene.rotational) if ambient is None else ambient
-    radius, viscosity = scene.chain.radius, scene.viscosity
-    motion = scene.mobility.motion(state.position, radius, viscosity, scene.rotational, load)
+    motion = _mobile(state, scene, load)
     return motion if ambient is None else add_motions(motion, ambient)
+
+
+def _mobile(state: State, scene: Scene, load: Load) -> Motion:
+    """M F, in a form to be differentiated."""
+    radius, viscosity = scene.chain.radius, scene.viscosity
+    return scene.mobility.motion(state.position, radius, viscosity, scene.rotational, load)
 
 
 def _free_and_held(t: Time, state: State, scene: Scene) -> tuple[Motion, Evaluation]:
