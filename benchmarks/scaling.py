@@ -8,10 +8,11 @@ Settling Gears fibres in space (weight, bending, RPY with rotation), bent to an 
 of scene and state; and a dense evaluation where that is practical. The error is the largest difference
 of the velocities from the dense ones, over the largest. Two checks stand for it at any size: the
 residual, the largest slip of the constraints over the largest velocity, and the product's error at
-sampled beads, whose velocities NumPy sums from the tensors of pairs. Memory is what the compiled gradient
-needs beside its arguments; `memory_gib` is the most that the whole process ever had, the run of 10^4
-beads included: 100 fibres of 100 beads, followed by AB3 and again with steps of half the length, whose
-difference is the error in time. Exponents are slopes of log time over log N from 1000 beads on.
+sampled beads, whose velocities NumPy sums from the tensors of pairs. Memory is what the compiled
+gradient needs beside its arguments; `memory_gib` is the most that the whole process ever had, the run
+of 10^4 beads included: 100 fibres of 100 beads, followed by AB3 and again with steps of half the
+length, whose difference is the error in time. Exponents are slopes of log time over log N from 1000
+beads on.
 """
 
 import argparse
