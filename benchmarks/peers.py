@@ -8,11 +8,13 @@ takes `rpy(...).motion(load)` (fields) or `rpy_motion` (pair by pair), each in o
 equally many calls. The difference is the largest of any two of the four, over the largest velocity or
 spin. Compiling, with tracing, is apart.
 
-Fibre: the settling fibre of SoftMobility's own example (N = 10, K_b = 0.02 F L^2 with L = 18 a, nearly
-upright at first, 4000 steps of 0.5 up to t = 2000), planar as there and in space, beside the same
-beads, weight and K_b in jaxbeads, by AB3 with that step and by the default. The path is timed 8 times
-or, in SoftMobility, in 8 parts. Model differences are printed with the table. Its last column is the
-largest distance of a bead at t = 2000 from jaxbeads with a tolerance of 1e-10, over a.
+Fibre: that of SoftMobility's example `02_sinking_fiber` (a notebook of its repository, not of the wheel:
+N = 10, K_b = 0.02 F L^2 with L = 18 a, nearly upright at first, default scheme, steps of 0.5), followed
+to t = 2000, planar as there and in space; beside the same beads, weight and K_b in jaxbeads, by AB3 with
+that step and by the default. The path is timed 8 times or, in SoftMobility, in 8 parts. `speed` is that
+of the last part, `slope_deg` how far the line from end to end is below the horizontal, `span/L` its
+length, `difference/a` the largest distance of a bead at t = 2000 from jaxbeads with a tolerance of
+1e-10: time stepping for jaxbeads, the model for SoftMobility. The models' differences are printed too.
 
 Each package gets an environment of its own in FOLDER, with the jax of this one, which is kept for the
 next run; jaxbeads runs in this interpreter. Both in float64, with LAPACK on one thread: matrices are
@@ -284,9 +286,8 @@ def main() -> None:
                 }
                 cells = ", ".join(f"{c} {x:.3g}" for c, x in ratio.items())
                 print(f"SoftMobility / jaxbeads {name}, {kind}: {cells}")
-            print(
-                f"slip at contacts in SoftMobility, {kind}: {theirs['slip']:.2g} of a bead's surface"
-            )
+            slip = f"slip at contacts over surface speed {theirs['slip']:.2g}"
+            print(f"SoftMobility, {kind}: {slip}")
         print(MODELS)
     if arguments.json:
         print(json.dumps(results))
