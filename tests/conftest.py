@@ -3,6 +3,8 @@
 import importlib
 import os
 import shutil
+import subprocess
+import sys
 import tempfile
 
 import equinox as eqx
@@ -17,7 +19,13 @@ _OWN = _CACHE not in os.environ
 if _OWN:
     os.environ[_CACHE] = tempfile.mkdtemp(prefix="jaxbeads-tests-")
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
-os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
+if "XLA_FLAGS" not in os.environ:
+    # Fusions by the older code generator compile in a third of the time. Not every jaxlib knows it, and
+    # one that does not stops the process.
+    flags = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+    known = [sys.executable, "-c", "import jax; jax.devices()"]
+    trial = subprocess.run(known, env=os.environ | {"XLA_FLAGS": flags}, capture_output=True)
+    os.environ["XLA_FLAGS"] = flags if trial.returncode == 0 else flags.split()[0]
 
 jax.config.update("jax_compilation_cache_dir", os.environ[_CACHE])
 jax.config.update("jax_enable_x64", True)

@@ -90,8 +90,6 @@ def test_derivatives_of_sums_in_blocks():
 
 
 CASES = {
-    "Gears": ([Gears()], 2, 100, {}),
-    "spatial": ([Gears()], 3, 70, {}),
     "fibres": ([Gears()], 3, (30, 1, 2, 50), {}),
     "unequal": ([Gears()], 2, 80, {"radius": np.linspace(0.7, 1.4, 80)}),
     "clamped": ([Gears(), *clamped(0)], 2, 100, {}),
