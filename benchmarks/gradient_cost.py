@@ -10,10 +10,14 @@ Errors: reverse against central differences of fourth order along a random direc
 forward mode along it, relative; with adaptive steps differences are as rough as the tolerance, 1e-6,
 lets the steps change. The last rows are implicit derivatives: of a steady shape by Newton's method, and
 of a periodic swimmer by shooting.
+
+Unless XLA_FLAGS is set, fusions are compiled by XLA's older code generator, as the README recommends for
+gradients; `XLA_FLAGS= python ...` measures the default.
 """
 
 import argparse
 import json
+import os
 import statistics
 import time
 from collections.abc import Callable
@@ -184,6 +188,9 @@ def cases(quick: bool) -> list[Callable[[], Case]]:
 
 
 def main() -> None:
+    os.environ.setdefault(
+        "XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false"
+    )  # read by the first use
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="N = 20 in the plane only")
     parser.add_argument(
