@@ -20,8 +20,8 @@ if _OWN:
     os.environ[_CACHE] = tempfile.mkdtemp(prefix="jaxbeads-tests-")
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 if "XLA_FLAGS" not in os.environ:
-    # Fusions by the older code generator compile in a third of the time. Not every jaxlib knows it, and
-    # one that does not stops the process.
+    # Without optimisation, fusions compile in a third of the time by the older code generator. Not every
+    # jaxlib knows it, and one that does not stops the process.
     flags = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
     known = [sys.executable, "-c", "import jax; jax.devices()"]
     trial = subprocess.run(known, env=os.environ | {"XLA_FLAGS": flags}, capture_output=True)
