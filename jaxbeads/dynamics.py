@@ -7,6 +7,7 @@ Solves, for one instant, the saddle-point system of Delmotte, Climent & Plourabo
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -179,6 +180,15 @@ def _full_matrix(t: Time, state: State, scene: Scene) -> Array:
     return lower + jnp.tril(lower, -1).T
 
 
+@eqx.filter_jit
+def _answer(t: Time, state: State, scene: Scene) -> Array:
+    """Multipliers that stop some motion of the beads, whatever their loads; NaN if nothing can."""
+    system = saddle_point(t, state, scene, mobility_operator(state, scene))
+    still = zero_motion(state, scene.rotational)
+    moved = jax.tree.map(lambda v: jnp.cos(jnp.arange(v.size)).reshape(v.shape), still)
+    return system.multipliers(system.constraints.slip(moved))
+
+
 def _named(constraint: AbstractConstraint) -> str:
     """Its name, with the bead or bond that it is about."""
     about = (f"{x}={getattr(constraint, x)}" for x in ("bead", "bond") if hasattr(constraint, x))
@@ -192,11 +202,18 @@ def redundancy(t: Time, state: State, scene: Scene) -> str | None:
     Looks at the null vectors of S, each of them a combination of rows that demands nothing new. If the
     velocities that these rows prescribe do not agree either, no motion meets them.
 
-    **Returns** a sentence, or `None` if the constraints are independent, or too many for eigenvalues (a
-    mobility that is not dense). A host function.
+    Where the mobility is not dense there are too many for eigenvalues: then iterations that do not
+    converge tell that some depend on one another, but not which.
+
+    **Returns** a sentence, or `None` if the constraints are independent. A host function.
     """
-    if not scene.constraints or not scene.mobility.is_dense(scene.chain.beads):
+    if not scene.constraints:
         return None
+    if not scene.mobility.is_dense(scene.chain.beads):
+        if np.all(np.isfinite(_answer(jnp.asarray(t), state, scene))):
+            return None
+        names = " + ".join(map(_named, scene.constraints))
+        return f"{names} depend on one another: iterations do not converge"
     matrix = np.asarray(constraint_matrix(t, state, scene))
     if not np.all(np.isfinite(matrix)):
         return "the matrix J M J^T is not finite"

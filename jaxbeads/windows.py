@@ -4,8 +4,8 @@ M is cut into overlapping windows of neighbouring beads, M' = sum over windows o
 whose squares sum to one at each bead: every term is positive, so M' is, and beads keep their own
 mobility. With w = sin(pi i / 2h) over 2h beads, windows h apart, neighbours d apart keep cos(pi d / 2h)
 of their interaction. S' = J M' J^T couples a bond with those of the next window only. It holds what
-makes S ill conditioned, the stiff differences of neighbours; what is left is the far field of modes longer
-than a window, which grows like the logarithm of their length, and iterations hardly grow in number.
+makes S ill conditioned, the stiff differences of neighbours; what is left is the far field of modes
+longer than a window. It grows like the logarithm of their length, and iterations hardly grow in number.
 """
 
 from collections.abc import Callable

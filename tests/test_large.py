@@ -216,8 +216,14 @@ def test_a_large_run_takes_an_explicit_solver():
 def test_constraints_that_contradict_one_another_do_not_converge():
     pulled = [PrescribedPosition(lambda t, s=s: t * s * jnp.eye(2)[0]) for s in (1.0, -1.0)]
     model = scene(Chain(1.0, 5), constraints=[Gears(), *pulled], mobility=RPY(dense=False))
-    with pytest.raises(jb.SimulationError, match="motion is not finite"):
-        jb.simulate(model, bent(model.chain), [0.0, 1e-3], substeps=2, progress=False)
+    state = bent(model.chain)
+    how = r"PrescribedPosition\(bead=0\) depend on one another: iterations do not converge"
+    with pytest.raises(ValueError, match=how):
+        jb.simulate(model, state, [0.0, 1e-3], substeps=2, progress=False)
+    once = eqx.tree_at(lambda s: s.constraints, model, model.constraints[:2])
+    assert dynamics.redundancy(0.0, state, once) is None
+    broken = eqx.tree_at(lambda s: s.forces[0].force, once, jnp.full(2, jnp.nan))
+    assert dynamics.redundancy(0.0, state, broken) is None  # it is not the constraints
 
 
 def test_contact_and_the_smallest_gap_in_blocks():

@@ -2,13 +2,12 @@
 
 import abc
 from collections.abc import Callable
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
 from jaxtyping import Array, Float, Int
 
-from .._checks import fail
 from ..pairs import PairTensor
 from ..state import Load, Motion, add_motions
 
@@ -38,12 +37,6 @@ class MatrixFree(MobilityOperator, Protocol):
     def among(self, beads: Int[Array, " some"]) -> PairTensor:
         """The mobility of some beads, as tables."""
         ...
-
-
-def check_dense(dense: Any) -> None:
-    """Refuse a choice that is none."""
-    if not (dense is None or isinstance(dense, bool)):
-        fail("dense", "be True, False or None", f"it is {dense!r}")
 
 
 class AbstractMobility(eqx.Module):

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int
 
 from ..pairs import PairTensor
 from ..state import Load, Motion, State, zero_motion
-from .base import MOST_DENSE, AbstractMobility, check_dense
+from .base import MOST_DENSE, AbstractMobility
 
 
 class _Drag(eqx.Module):
@@ -56,9 +56,6 @@ class FreeDraining(AbstractMobility):
     """
 
     dense: bool | None = eqx.field(static=True, default=None)
-
-    def __check_init__(self) -> None:
-        check_dense(self.dense)
 
     def is_dense(self, beads: int) -> bool:
         """As `dense` says."""

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float, Int
 from .. import tensors
 from ..pairs import PairTensor
 from ..state import Load, Motion
-from .base import MOST_DENSE, AbstractMobility, check_dense
+from .base import MOST_DENSE, AbstractMobility
 
 
 class PairSums(eqx.Module):
@@ -48,9 +48,6 @@ class RPY(AbstractMobility):
 
     strained: bool = eqx.field(static=True, default=True)
     dense: bool | None = eqx.field(static=True, default=None)
-
-    def __check_init__(self) -> None:
-        check_dense(self.dense)
 
     def is_dense(self, beads: int) -> bool:
         """As `dense` says."""
