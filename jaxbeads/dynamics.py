@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .constraint import AbstractConstraint
+from .factors import symmetric
 from .flow import AbstractFlow
 from .flow.base import spin_and_strain, velocity_and_gradient
 from .geometry import spin_cross
@@ -176,8 +177,7 @@ def _full_matrix(t: Time, state: State, scene: Scene) -> Array:
     operator = mobility_operator(state, scene)
     if isinstance(operator, MatrixFree):
         operator = operator.among(jnp.arange(scene.chain.beads))
-    lower = jnp.tril(matrix(t, state, scene, operator))
-    return lower + jnp.tril(lower, -1).T
+    return symmetric(matrix(t, state, scene, operator))
 
 
 @eqx.filter_jit

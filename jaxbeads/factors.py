@@ -26,6 +26,16 @@ def _one_by_one(function: custom_vmap, *stacks: Array) -> Any:
     )
 
 
+def diagonal(matrix: Float[Array, "n n"]) -> Float[Array, " n"]:
+    """The diagonal, as a slice: `jnp.diagonal` gathers, which XLA takes for a pass over the whole."""
+    return matrix.T.ravel()[:: len(matrix) + 1]
+
+
+def symmetric(upper: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """The whole matrix from its upper triangle."""
+    return jnp.triu(upper) + jnp.triu(upper, 1).T
+
+
 @custom_vmap
 def cholesky(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
     """L of S = L L^T from the upper triangle of S, which is where LAPACK looks for it in a matrix that

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from ._checks import fail
 from .constraint import AbstractChainConstraint
-from .factors import cholesky, cholesky_solve
+from .factors import cholesky, cholesky_solve, diagonal
 from .iterations import conjugate_gradients
 from .mobility import MatrixFree, MobilityOperator
 from .pairs import PairTensor
@@ -68,9 +68,9 @@ def constraint_map(t: Time, state: State, scene: Scene) -> ConstraintMap:
 
 
 def matrix(t: Time, state: State, scene: Scene, operator: MobilityOperator) -> Array:
-    """S = J M J^T, its lower triangle.
+    """S = J M J^T, its upper triangle.
 
-    The first constraint assembles its own block where it can. All other rows are found by applying
+    The first constraint assembles its own block where it can. All other columns are found by applying
     M to one unit multiplier after the other, vectorised.
     """
     j = constraint_map(t, state, scene)
@@ -84,11 +84,9 @@ def matrix(t: Time, state: State, scene: Scene, operator: MobilityOperator) -> A
     # Rows that read no motion (as those of a chain constraint between two fibres) stay regular.
     empty = jnp.diagonal(rest, known) == 0
     rest = jnp.where(empty[:, None], units, rest)
-    if block is None:
-        return rest
-    return (
-        jnp.concatenate([jnp.pad(block, ((0, 0), (0, rows - known))), rest]) if len(rest) else block
-    )
+    if block is None or len(rest) == 0:
+        return rest if block is None else block
+    return jnp.concatenate([jnp.pad(block, ((0, rows - known), (0, 0))), rest.T], axis=1)
 
 
 Product = Callable[[Array], Array]
@@ -137,9 +135,9 @@ class Iterations(eqx.Module):
 
 def _factorised(t: Time, state: State, scene: Scene, operator: MobilityOperator) -> Factorised:
     s = matrix(t, state, scene, operator)
-    factor = cholesky(s.T)
+    factor = cholesky(s)
     # A row that depends on those before it leaves a pivot of rounding size, or NaN.
-    pivot = jnp.diagonal(factor) ** 2 / jnp.diagonal(s)
+    pivot = diagonal(factor) ** 2 / diagonal(s)
     regular = jnp.min(pivot, initial=1.0) > 10 * len(pivot) * jnp.finfo(pivot.dtype).eps
     return Factorised(factor, regular)
 

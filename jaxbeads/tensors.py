@@ -21,11 +21,26 @@ class _Separation(NamedTuple):
     inverse: Field  # 1 / distance, 0 where the distance is 0
 
 
+@jax.custom_jvp
+def _root(square: Field) -> Field:
+    """A square root without a slope at 0, where two beads are in the same place."""
+    return jnp.sqrt(square)
+
+
+@_root.defjvp
+def _root_jvp(primals: tuple[Field], tangents: tuple[Field]) -> tuple[Field, Field]:
+    root = _root(*primals)
+    return root, tangents[0] * (0.5 * _inverse(root))
+
+
+def _inverse(distance: Field) -> Field:
+    zero = distance == 0
+    return jnp.where(zero, 0.0, 1.0) / jnp.where(zero, 1.0, distance)
+
+
 def _separation(vector: list[Field]) -> _Separation:
-    square = sum(d * d for d in vector)
-    zero = square == 0
-    distance = jnp.sqrt(jnp.where(zero, 1.0, square))
-    return _Separation(vector, jnp.where(zero, 0.0, distance), jnp.where(zero, 0.0, 1 / distance))
+    distance = _root(sum(d * d for d in vector))
+    return _Separation(vector, distance, _inverse(distance))
 
 
 class _Scalars(NamedTuple):
@@ -41,21 +56,19 @@ class _Scalars(NamedTuple):
 
 def _equal(s: _Separation, a: Array) -> _Scalars:
     # On the diagonal the overlap branch at distance 0 is the mobility of a single sphere.
-    x, ix = s.distance / a, s.inverse * a
+    x, ix = s.distance * (1 / a), s.inverse * a
     y = jnp.minimum(ix, 0.5)  # 1/x of separate spheres; bounded where the other branch holds
     y2, y3 = y * y, y * y * y
     near = x <= 2
-    # Divided, not multiplied by the inverse: see `rpy`. (In the plane rr1 meets no sum before the next
-    # division, and XLA would merge the two into a product.)
-    six, eight = 6 * np.pi * a, 8 * np.pi * a**3
-    tr = jnp.where(near, 0.5 - 3 * x / 16, y3) / eight
+    six, eight = 1 / (6 * np.pi * a), 1 / (8 * np.pi * a**3)
+    tr = eight * jnp.where(near, 0.5 - 3 * x / 16, y3)
     return _Scalars(
-        tt1=jnp.where(near, 1 - 9 * x / 32, 0.75 * y + 0.5 * y3) / six,
-        tt2=jnp.where(near, 3 * ix / 32, (0.75 - 1.5 * y2) * y3) / (six * a**2),
+        tt1=six * jnp.where(near, 1 - 9 * x / 32, 0.75 * y + 0.5 * y3),
+        tt2=(six / a**2) * jnp.where(near, 3 * ix / 32, (0.75 - 1.5 * y2) * y3),
         tr=tr,
         rt=tr,
-        rr1=1 / eight * jnp.where(near, 1 - 27 * x / 32 + 5 * x * x * x / 64, -0.5 * y3),
-        rr2=jnp.where(near, 9 * ix / 32 - 3 * x / 64, 1.5 * y2 * y3) / (eight * a**2),
+        rr1=eight * jnp.where(near, 1 - 27 * x / 32 + 5 * x * x * x / 64, -0.5 * y3),
+        rr2=(eight / a**2) * jnp.where(near, 9 * ix / 32 - 3 * x / 64, 1.5 * y2 * y3),
     )
 
 
@@ -108,6 +121,16 @@ def _unequal(s: _Separation, a: Array, b: Array) -> _Scalars:
     )
 
 
+def _coefficients(vector: list[Field], radii: Radii, viscosity: Array) -> _Scalars:
+    """The coefficients of each pair."""
+    s = _separation(vector)
+    k = _unequal(s, *radii) if isinstance(radii, tuple) else _equal(s, radii)
+    # Each ends in a division: XLA on the CPU computes what looks cheap anew wherever it is read, but
+    # never a division.
+    tt1, tt2, tr, rt, rr1, rr2 = (x / viscosity for x in k)
+    return _Scalars(tt1, tt2, tr, tr if k.rt is k.tr else rt, rr1, rr2)
+
+
 def rpy(
     position: Float[Array, "beads dim"],
     radius: Float[Array, ""] | Float[Array, " beads"],
@@ -126,23 +149,17 @@ def rpy(
     Wajnryb, Mizerski & Szymczak, J. Fluid Mech. 741 (2014) R5 (unequal radii).
     """
     vector, radii = separations(position, position), radii_of(radius, radius)
-    s, dim, turns = _separation(vector), len(vector), spins(len(vector))
-    scalars = _unequal(s, *radii) if isinstance(radii, tuple) else _equal(s, radii)
-    # Each field ends in a division. XLA on the CPU evaluates cheap producers anew in each consumer
-    # but never a division, so this keeps a field from being computed again for every use.
-    tt = _dyads(scalars.tt1, scalars.tt2, s.vector, viscosity)
+    k, dim, turns = _coefficients(vector, radii, viscosity), len(vector), spins(len(vector))
+    tt = _dyads(k.tt1, k.tt2, vector)
     if not rotational:
         return PairTensor(tt)
-    push = [scalars.tr * d / viscosity for d in s.vector]
-    twist = push if scalars.rt is scalars.tr else [scalars.rt * d / viscosity for d in s.vector]
+    push = [k.tr * d for d in vector]
+    twist = push if k.rt is k.tr else [k.rt * d for d in vector]
     tr: list[list[Signed | None]] = [[None] * turns for _ in range(dim)]
     rt: list[list[Signed | None]] = [[None] * dim for _ in range(turns)]
-    for i, j, k, sign in CROSS[dim]:  # (d x T)_i holds sign d_j T_k, and (d x F)_k the opposite
-        tr[i][k], rt[k][i] = Signed(push[j], -sign), Signed(twist[j], sign)
-    if dim == 2:
-        rr: Table = ((scalars.rr1 / viscosity,),)
-    else:
-        rr = _dyads(scalars.rr1, scalars.rr2, s.vector, viscosity)
+    for i, j, m, sign in CROSS[dim]:  # (d x T)_i holds sign d_j T_m, and (d x F)_m the opposite
+        tr[i][m], rt[m][i] = Signed(push[j], -sign), Signed(twist[j], sign)
+    rr: Table = ((k.rr1,),) if dim == 2 else _dyads(k.rr1, k.rr2, vector)
     return PairTensor(tt, tuple(map(tuple, tr)), tuple(map(tuple, rt)), rr)
 
 
@@ -159,8 +176,8 @@ def rpy_motion(
     **Arguments**: as for `rpy`; loads. **Returns** a `Motion`.
     """
 
-    def fields(vector: list[Field], radii: Radii) -> list[Field]:
-        return [f / viscosity for f in _pushed(vector, radii, rotational, load)]  # see `rpy`
+    def fields(vector: list[Field], radii: Radii) -> tuple[Field, ...]:
+        return _pushed(vector, radii, viscosity, rotational, load)
 
     sums, dim = _sums(fields, position, radius), position.shape[1]
     velocity = jnp.stack(sums[:dim], axis=1)
@@ -180,10 +197,11 @@ def _sums(
     return pair_sums(unequal, (position, radius))
 
 
-def _pushed(vector: list[Field], radii: Radii, rotational: bool, load: Load) -> tuple[Field, ...]:
-    """What the load on bead j adds to each component of velocity and spin of bead i; viscosity 1."""
-    s, dim, turns = _separation(vector), len(vector), spins(len(vector))
-    k = _unequal(s, *radii) if isinstance(radii, tuple) else _equal(s, radii)
+def _pushed(
+    vector: list[Field], radii: Radii, viscosity: Array, rotational: bool, load: Load
+) -> tuple[Field, ...]:
+    """What the load on bead j adds to each component of velocity and spin of bead i."""
+    k, dim, turns = _coefficients(vector, radii, viscosity), len(vector), spins(len(vector))
     force = None if load.force is None else list(load.force.T[:, None, :])
     torque = None if load.torque is None else list(load.torque.T[:, None, :])
 
@@ -209,13 +227,13 @@ def _pushed(vector: list[Field], radii: Radii, rotational: bool, load: Load) -> 
     return tuple(reduce(jnp.add, terms) for terms in velocity + spin)
 
 
-def _dyads(one: Array, two: Array, vector: list[Field], viscosity: Array) -> Table:
+def _dyads(one: Array, two: Array, vector: list[Field]) -> Table:
     dim = len(vector)
     fields: dict[tuple[int, int], Array] = {}
     for i in range(dim):
         for j in range(i, dim):
             field = two * (vector[i] * vector[j])
-            fields[i, j] = fields[j, i] = (field + one if i == j else field) / viscosity
+            fields[i, j] = fields[j, i] = field + one if i == j else field
     return tuple(tuple(fields[i, j] for j in range(dim)) for i in range(dim))
 
 
@@ -321,8 +339,7 @@ def rpy_gradient(
     def pairs(vector: list[Field], rate: Array | None) -> tuple[Field, ...]:
         moved: list[tuple[Field, ...]] = []
         if loaded:
-            pushed = _pushed(vector, radii, rotational, load)
-            moved.append(tuple(f / viscosity for f in pushed))
+            moved.append(_pushed(vector, radii, viscosity, rotational, load))
         if rate is not None:
             moved.append(_disturbance(vector, radii, rate, rotational))
         return tuple(reduce(jnp.add, parts) for parts in zip(*moved, strict=True))

@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 
 from .chain import Chain
 from .constraint import AbstractChainConstraint
-from .factors import cholesky, inverse_of_triangle
+from .factors import cholesky, inverse_of_triangle, symmetric
 from .mobility import MatrixFree
 from .state import Load, Motion, State
 
@@ -112,8 +112,7 @@ class Windows(NamedTuple):
             radius = chain.radius if chain.radius.ndim == 0 else chain.radius[beads]
             part = Chain(radius, len(beads), chain.gap)
             here = jax.tree.map(lambda x: x[beads], state)
-            lower = jnp.tril(constraint.assemble(t, here, tensor, part))
-            whole = lower + jnp.tril(lower, -1).T
+            whole = symmetric(constraint.assemble(t, here, tensor, part))
             # (component, first or second half, bond) twice
             cut = whole.reshape(-1, 2, HALF, len(whole) // (2 * HALF), 2, HALF)
             return cut.transpose(1, 4, 0, 2, 3, 5).reshape(2, 2, len(whole) // 2, -1)

@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Callable
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -53,7 +53,7 @@ class AbstractChainConstraint(AbstractConstraint):
     def assemble(
         self, t: Float[Array, ""], state: State, tensor: PairTensor, chain: Chain
     ) -> Float[Array, "rows rows"]:
-        """S for the raveled `slip`; only its lower triangle is read."""
+        """S for the raveled `slip`; only its upper triangle is read."""
 
     @abc.abstractmethod
     def drift(self, state: State, chain: Chain) -> Float[Array, " bonds"]:
@@ -97,6 +97,13 @@ def regular(block: Array, mask: np.ndarray, scale: Array | None) -> Array:
         return block
     block = jnp.where(mask[:, None] & mask[None, :], block, 0.0)
     return block if scale is None else block + jnp.diag(~mask * scale)
+
+
+def empty(size: int, dtype: Any) -> Array:
+    """A square matrix to be filled by `place`."""
+    # The barrier hides the zeros: XLA would pad the first block to the whole, which takes as long as all
+    # other blocks together.
+    return lax.optimization_barrier(jnp.zeros((size, size), dtype))
 
 
 def place(matrix: Array, block: Array, row: int, column: int) -> Array:

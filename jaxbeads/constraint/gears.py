@@ -13,6 +13,7 @@ from .base import (
     AbstractChainConstraint,
     Difference,
     bond_drift,
+    empty,
     ends,
     place,
     regular,
@@ -72,12 +73,10 @@ class Gears(AbstractChainConstraint):
             ad = _weighted(ends(1, -1), a, None)
             aa = _weighted(ends(1, 1), a, a)
         scale = tensor.tt[0][0][0, 0]  # the mobility of a bead
-        one = 1 + 0 * scale  # see `rpy`: a division keeps a field from being redone
+        one = 1 + 0 * scale  # a division, as in `rpy`
         sums = [[aa(f) / one for f in row] for row in tensor.rr]
         mask = chain.bond_mask
-        s = jnp.full(
-            (dim * bonds, dim * bonds), 0 * scale
-        )  # a constant would be padded, not filled
+        s = empty(dim * bonds, e.dtype)
         for i in range(dim):
             for j in range(i, dim):
                 block = dd(tensor.tt[i][j])
@@ -91,9 +90,7 @@ class Gears(AbstractChainConstraint):
                         block = block + sums[k][m] * (u[:, None] * w[None, :])
                 block = regular(block, mask, scale if i == j else None)
                 s = place(s, block, i * bonds, j * bonds)
-        # LAPACK wants columns in a row. The transpose is free here, and asks nothing of the layout of
-        # the fields, which the products with loads want by rows.
-        return s.T
+        return s
 
     def drift(self, state: State, chain: Chain) -> Float[Array, " bonds"]:
         """Distance of neighbours over its value at rest, minus 1."""

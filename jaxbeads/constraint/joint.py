@@ -9,7 +9,7 @@ from ..chain import Chain, linked
 from ..geometry import bonds, norm, spin_cross, unit
 from ..pairs import CROSS, PairTensor
 from ..state import Motion, State
-from .base import AbstractChainConstraint, ends, place, regular
+from .base import AbstractChainConstraint, empty, ends, place, regular
 
 
 class Joint(AbstractChainConstraint):
@@ -51,9 +51,7 @@ class Joint(AbstractChainConstraint):
             lever[i][k] = -sign * p[j]
         dd, da, ad, aa = ends(-1, -1), ends(-1, 1), ends(1, -1), ends(1, 1)
         mask, scale = chain.bond_mask, tensor.tt[0][0][0, 0]
-        s = jnp.full(
-            (dim * bonds, dim * bonds), 0 * scale
-        )  # a constant would be padded, not filled
+        s = empty(dim * bonds, p.dtype)
         for i in range(dim):
             for j in range(i, dim):
                 block = dd(tensor.tt[i][j])
@@ -67,7 +65,7 @@ class Joint(AbstractChainConstraint):
                         block = block + aa(u[:, None] * tensor.rr[k][m] * w[None, :])
                 block = regular(block, mask, scale if i == j else None)
                 s = place(s, block, i * bonds, j * bonds)
-        return s.T
+        return s
 
     def drift(self, state: State, chain: Chain) -> Float[Array, " bonds"]:
         """Distance of the two beads' joints over the bond length, or the error of their directors'
