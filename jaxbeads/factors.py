@@ -11,9 +11,11 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jax.custom_batching import custom_vmap
-from jaxtyping import Array, Float
+from jaxlib.lapack import prepare_lapack_call
+from jaxtyping import Array, Bool, Float
 
 
 def _one_by_one(function: custom_vmap, *stacks: Array) -> Any:
@@ -36,11 +38,27 @@ def symmetric(upper: Float[Array, "n n"]) -> Float[Array, "n n"]:
     return jnp.triu(upper) + jnp.triu(upper, 1).T
 
 
+def _potrf(matrix: Array) -> tuple[Array, Array]:
+    # What `lax.linalg.cholesky` calls, without its copy of the matrix before and its pass over the
+    # factor after it: these take as long as the factorisation where XLA cuts them for two threads.
+    target = prepare_lapack_call("potrf_ffi", matrix.dtype)
+    result = jax.ShapeDtypeStruct(matrix.shape, matrix.dtype), jax.ShapeDtypeStruct((), jnp.int32)
+    call = jax.ffi.ffi_call(target, result, vmap_method="sequential")
+    factor, failed = call(matrix, uplo=np.uint8(ord("L")))
+    return factor.T, failed == 0
+
+
 @custom_vmap
-def cholesky(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
+def cholesky(matrix: Float[Array, "n n"]) -> tuple[Float[Array, "n n"], Bool[Array, ""]]:
     """L of S = L L^T from the upper triangle of S, which is where LAPACK looks for it in a matrix that
-    is stored by rows; NaN where S is not positive."""
-    return lax.linalg.cholesky(matrix.T, symmetrize_input=False)
+    is stored by rows, and whether S is positive. Above L, and in L if it is not, there may be anything;
+    NaN stays NaN. It has no derivatives."""
+
+    def general(matrix: Array) -> tuple[Array, Array]:
+        factor = lax.linalg.cholesky(matrix.T, symmetrize_input=False)
+        return factor, jnp.all(jnp.isfinite(diagonal(factor)))
+
+    return lax.platform_dependent(matrix, cpu=_potrf, default=general)
 
 
 @custom_vmap
@@ -52,7 +70,7 @@ def lu(matrix: Float[Array, "n n"]) -> tuple[Float[Array, "n n"], Array]:
 
 @cholesky.def_vmap
 def _(size: int, batched: list[bool], matrices: Array) -> tuple[Any, Any]:
-    return _one_by_one(cholesky, matrices), True
+    return _one_by_one(cholesky, matrices), (True, True)
 
 
 @lu.def_vmap

@@ -135,11 +135,11 @@ class Iterations(eqx.Module):
 
 def _factorised(t: Time, state: State, scene: Scene, operator: MobilityOperator) -> Factorised:
     s = matrix(t, state, scene, operator)
-    factor = cholesky(s)
-    # A row that depends on those before it leaves a pivot of rounding size, or NaN.
+    factor, positive = cholesky(s)
+    # A row that depends on those before it leaves a pivot of rounding size, or none.
     pivot = diagonal(factor) ** 2 / diagonal(s)
     regular = jnp.min(pivot, initial=1.0) > 10 * len(pivot) * jnp.finfo(pivot.dtype).eps
-    return Factorised(factor, regular)
+    return Factorised(factor, regular & positive)
 
 
 def _iterations(t: Time, state: State, scene: Scene, operator: MatrixFree) -> Iterations:
@@ -172,7 +172,8 @@ def _iterations(t: Time, state: State, scene: Scene, operator: MatrixFree) -> It
     response = coupling.T
     if banded is not None and len(others):
         response = jax.vmap(banded.solve, out_axes=1)(coupling)
-    factor = cholesky(factor - coupling @ response)
+    factor, positive = cholesky(factor - coupling @ response)
+    factor = jnp.where(positive, factor, jnp.nan)
     return Iterations(banded, coupling, response, factor, (first, last))
 
 

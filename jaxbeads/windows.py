@@ -130,7 +130,8 @@ class Windows(NamedTuple):
         def step(inverse: Array, group: tuple[Array, Array]) -> tuple[Array, tuple[Array, Array]]:
             own, below = group
             below = below @ inverse.T
-            inverse = inverse_of_triangle(cholesky(own - below @ below.T))
+            factor, positive = cholesky(own - below @ below.T)
+            inverse = inverse_of_triangle(jnp.where(positive, factor, jnp.nan))
             return inverse, (inverse, below)
 
         first = jnp.eye(mask.shape[1], dtype=diagonal.dtype)

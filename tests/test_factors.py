@@ -22,7 +22,7 @@ def positive(*shape):
 
 
 def by_cholesky(matrix, rhs):
-    return cholesky_solve(cholesky(matrix), rhs)
+    return cholesky_solve(cholesky(matrix)[0], rhs)
 
 
 def by_lu(matrix, rhs):
@@ -42,6 +42,25 @@ def test_members_are_those_of_numpy(solve, made, axes):
         a, b[..., None] if b.ndim > 1 else np.broadcast_to(b, (3, 4, 5))[..., None]
     )
     assert np.allclose(found, expected[..., 0], rtol=1e-10)
+
+
+def test_cholesky_tells_what_is_not_positive():
+    matrix = -jnp.asarray(positive())
+    assert not jax.jit(cholesky)(matrix)[1]
+    found = jax.jit(jax.vmap(cholesky))(jnp.stack([-matrix, matrix]))[1]
+    assert np.array_equal(found, [True, False])
+    assert np.isnan(cholesky(jnp.nan * matrix)[0][-1, -1])
+    assert cholesky(jnp.zeros((0, 0)))[1]
+
+
+def test_cholesky_reads_the_upper_triangle():
+    whole = positive()
+    upper = np.where(np.tri(5, k=-1), 7.0, whole)
+    factor, _ = cholesky(jnp.asarray(upper))
+    assert np.allclose(np.tril(factor), np.linalg.cholesky(whole), rtol=1e-13)
+    single, _ = cholesky(jnp.asarray(upper, jnp.float32))
+    assert single.dtype == jnp.float32
+    assert np.allclose(np.tril(single), np.linalg.cholesky(whole), rtol=1e-5)
 
 
 def batched_calls(function, *arguments):
