@@ -30,7 +30,9 @@ def _root(square: Field) -> Field:
 @_root.defjvp
 def _root_jvp(primals: tuple[Field], tangents: tuple[Field]) -> tuple[Field, Field]:
     root = _root(*primals)
-    return root, tangents[0] * (0.5 * _inverse(root))
+    zero = root == 0
+    # A division, as in `_coefficients`: in reverse, all that depends on r is summed once.
+    return root, jnp.where(zero, 0.0, tangents[0]) / jnp.where(zero, 1.0, 2 * root)
 
 
 def _inverse(distance: Field) -> Field:
