@@ -6,7 +6,7 @@
 chooses (the default). The loop calls a compiled function of one member. A batch is the `vmap` of that
 function, 64 members at a time, on one device. Sweeps run on one device and on two (each a share of the
 CPU's cores), 16 members at a time; they are timed from the first chunk that is written to the last.
-Medians; compiling is left out everywhere. `per_member_ratio` is the largest ratio to the loop of the
+Medians, in turns; compiling is left out everywhere. `per_member_ratio` is the largest ratio to the loop of the
 sweep on two devices. The error is the largest difference from the loop's positions, over a radius.
 """
 
@@ -80,10 +80,13 @@ def measure(adaptive: bool, members: int, rounds: int) -> dict[str, float]:
 
     single, batch = jax.jit(final), jax.jit(jax.vmap(final))
     few = values[:: members // SIDES]
-    loop = seconds(lambda: [single(v) for v in few], rounds) / len(few)
     side = seconds(lambda: batch(few), rounds) / len(few)
-    one, positions = swept(build, values, ts, 1, options)
-    two, _ = swept(build, values, ts, 2, options)
+    turns, positions = [], values
+    for _ in range(rounds):
+        loop = seconds(lambda: [single(v) for v in few], 1) / len(few)
+        one, positions = swept(build, values, ts, 1, options)
+        turns.append((loop, one, swept(build, values, ts, 2, options)[0]))
+    loop, one, two = (statistics.median(t) for t in zip(*turns, strict=True))
     reference = np.stack([single(v) for v in values])
     return {
         "loop_ms": 1e3 * loop,
