@@ -6,8 +6,9 @@
 chooses (the default). The loop calls a compiled function of one member. A batch is the `vmap` of that
 function, 64 members at a time, on one device. Sweeps run on one device and on two (each a share of the
 CPU's cores), 16 members at a time; they are timed from the first chunk that is written to the last.
-Medians, in turns; compiling is left out everywhere. `per_member_ratio` is the largest ratio to the loop of the
-sweep on two devices. The error is the largest difference from the loop's positions, over a radius.
+Medians, in turns; compiling is left out everywhere. `per_member_ratio` is the largest ratio to the
+loop of the sweep on two devices. The error is the largest difference from the loop's positions, over a
+radius.
 """
 
 import argparse
