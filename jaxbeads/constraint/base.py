@@ -101,8 +101,8 @@ def regular(block: Array, mask: np.ndarray, scale: Array | None) -> Array:
 
 def empty(size: int, dtype: Any) -> Array:
     """A square matrix to be filled by `place`."""
-    # The barrier hides the zeros: XLA would pad the first block to the whole, which takes as long as all
-    # other blocks together.
+    # The barrier hides the zeros: XLA would pad the first block to the whole, number by number, which
+    # takes several times as long as any other block.
     return lax.optimization_barrier(jnp.zeros((size, size), dtype))
 
 
