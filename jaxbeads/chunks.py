@@ -20,6 +20,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array
 
 from ._checks import fail
+from .loops import equal_parts
 
 Points = dict[str, np.ndarray]
 NOT_RUN = -1
@@ -36,6 +37,8 @@ class Measured(NamedTuple):
 
 
 Member = Callable[[dict[str, Array]], Measured]
+Every = Callable[[Any], Measured]
+"""Of all members of a chunk."""
 
 
 def all_members(
@@ -45,10 +48,12 @@ def all_members(
     folder: str | os.PathLike[str] | None,
     devices: Sequence[Any] | None,
     progress: bool,
+    together: int,
 ) -> Measured:
     """All members' results; `NOT_RUN` where Ctrl-C came before.
 
-    **Arguments**: see `sweep`. **Raises** `ValueError` if the folder holds another sweep.
+    **Arguments**: see `sweep`; how many members a CPU follows side by side, at most. **Raises**
+    `ValueError` if the folder holds another sweep.
     """
     devices = list(jax.local_devices() if devices is None else devices)
     total, workers = len(next(iter(points.values()))), jax.process_count()
@@ -62,9 +67,9 @@ def all_members(
     if chunk is None:
         chunk = min(64, -(-total // (len(devices) * workers)))
     chunk = min(chunk, total)
-    count = -(-total // chunk)
+    count, every = -(-total // chunk), _every(member, together)
     if store is not None:
-        store.open(_program(member, points, chunk), points, chunk)
+        store.open(_program(every, points, chunk), points, chunk)
     parts = {} if store is None else store.read(count)
     mine = [i for i in range(jax.process_index(), count, workers) if i not in parts]
 
@@ -72,7 +77,7 @@ def all_members(
 
     try:
         with tqdm(total=total, initial=min(len(parts) * chunk, total), disable=not progress) as bar:
-            for index, part in _runs(member, points, chunk, mine, devices):
+            for index, part in _runs(every, points, chunk, mine, devices):
                 if store is not None:
                     store.write(index, part)
                 parts[index] = part
@@ -88,15 +93,13 @@ def all_members(
 
 
 def _runs(
-    member: Member, points: Points, chunk: int, mine: Sequence[int], devices: list[Any]
+    every: Every, points: Points, chunk: int, mine: Sequence[int], devices: list[Any]
 ) -> Iterator[tuple[int, Measured]]:
     """Chunks and their results, one for each device at a time."""
     total, devices = len(next(iter(points.values()))), devices[: max(len(mine), 1)]
     spec = PartitionSpec("chunks")
     mesh = Mesh(np.array(devices), ("chunks",))
-    run = jax.jit(
-        jax.shard_map(_every(member), mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
-    )
+    run = jax.jit(jax.shard_map(every, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False))
     groups = [list(mine[k : k + len(devices)]) for k in range(0, len(mine), len(devices))]
 
     def started(group: list[int]) -> Measured:
@@ -118,16 +121,16 @@ def _runs(
             yield index, jax.tree.map(lambda x, b=begin, s=size: x[b : b + s], result)
 
 
-def _every(member: Member) -> Callable[[Points], Measured]:
-    """The members of a chunk: on a CPU one after the other, which keeps each in the fast cache and lets
-    none wait for another's steps; elsewhere side by side."""
+def _every(member: Member, together: int) -> Every:
+    """The members of a chunk: on a CPU in groups, one after the other, elsewhere all side by side."""
+    several = jax.vmap(member)
 
-    def every(points: Any) -> Measured:
-        return lax.platform_dependent(
-            points, cpu=lambda points: lax.map(member, points), default=jax.vmap(member)
-        )
+    def in_turn(points: Any) -> Measured:
+        size = len(next(iter(points.values())))
+        group = equal_parts(size, together)
+        return lax.map(member, points, batch_size=group) if group > 1 else lax.map(member, points)
 
-    return every
+    return lambda points: lax.platform_dependent(points, cpu=in_turn, default=several)
 
 
 def _joined(parts: Mapping[int, Measured], count: int, chunk: int, total: int) -> Measured:
@@ -144,10 +147,10 @@ def _joined(parts: Mapping[int, Measured], count: int, chunk: int, total: int) -
     return jax.tree.map(lambda *x: np.concatenate(x), *every)
 
 
-def _program(member: Member, points: Points, chunk: int) -> str:
+def _program(every: Every, points: Points, chunk: int) -> str:
     """A digest of the compiled program's source: all that decides on the numbers but the machine."""
     given = {n: jax.ShapeDtypeStruct((chunk,), v.dtype) for n, v in points.items()}
-    text = jax.jit(_every(member)).lower(given).as_text()
+    text = jax.jit(every).lower(given).as_text()
     return hashlib.sha256(text.encode()).hexdigest()
 
 

@@ -1,8 +1,7 @@
 """Factorisations and triangular solutions, one matrix or many side by side.
 
-On a CPU many matrices are factorised one after the other. LAPACK's batched calls share their work out to
-the threads that run the program itself; as many of them at once as there are threads wait for each other
-for ever (jaxlib 0.10). More cores are used by more devices, see `sweep`.
+Every function takes stacks of matrices, `(..., n, n)`, and is one call of LAPACK on a CPU; `vmap` makes
+stacks of it as long as `at_once` allows.
 """
 
 from collections.abc import Callable
@@ -17,15 +16,48 @@ from jax.custom_batching import custom_vmap
 from jaxlib.lapack import prepare_lapack_call
 from jaxtyping import Array, Bool, Float
 
+from .loops import equal_parts
 
-def _one_by_one(function: custom_vmap, *stacks: Array) -> Any:
-    """The function of each member: in turn on a CPU, side by side elsewhere."""
-    # The map is of the function itself, so that its rule holds for a second batch too.
-    return lax.platform_dependent(
-        *stacks,
-        cpu=lambda *stacks: lax.map(lambda member: function(*member), stacks),
-        default=jax.vmap(function.fun),
-    )
+_OPERATIONS = 150_000 if jax.__version_info__ < (0, 11) else 0
+
+
+def at_once(operations: int) -> int:
+    """How many members, of as many operations each, may go into one call of LAPACK.
+
+    Calls with more than 200 000 operations in all (jaxlib 0.10; before it none) share their work out to
+    the threads that run the program itself; as many of them at once as there are threads wait for each
+    other for ever. Smaller ones are done where they are called, one matrix after the other. More cores
+    are used by more devices, see `sweep`. Of later versions nothing is known: one matrix in a call.
+    """
+    return max(1, _OPERATIONS // max(operations, 1))
+
+
+def _stacks(function: custom_vmap, operations: Callable[..., int]) -> Callable[..., Any]:
+    """The rule of a function for members: in calls of as many as may be on a CPU, in one elsewhere."""
+
+    def rule(size: int, batched: list[bool], *several: Array) -> tuple[Any, Any]:
+        several = tuple(
+            x if b else jnp.broadcast_to(x, (size, *x.shape))
+            for x, b in zip(several, batched, strict=True)
+        )
+        axes = several[0].shape[:-2]
+        flat = [x.reshape(-1, *x.shape[-2:]) for x in several]
+        members = len(flat[0])
+        group = equal_parts(members, at_once(operations(*flat)))
+
+        def in_turn(*stacks: Array) -> Any:
+            cut = [x.reshape(members // group, group, *x.shape[1:]) for x in stacks]
+            found = lax.map(lambda stack: function(*stack), cut)
+            return jax.tree.map(lambda x: x.reshape(members, *x.shape[2:]), found)
+
+        if group == members:
+            found = function(*flat)
+        else:
+            found = lax.platform_dependent(*flat, cpu=in_turn, default=function.fun)
+        found = jax.tree.map(lambda x: x.reshape(*axes, *x.shape[1:]), found)
+        return found, jax.tree.map(lambda _: True, found)
+
+    return rule
 
 
 def diagonal(matrix: Float[Array, "n n"]) -> Float[Array, " n"]:
@@ -42,40 +74,46 @@ def _potrf(matrix: Array) -> tuple[Array, Array]:
     # What `lax.linalg.cholesky` calls, without its copy of the matrix before and its pass over the
     # factor after it: these take as long as the factorisation where XLA cuts them for two threads.
     target = prepare_lapack_call("potrf_ffi", matrix.dtype)
-    result = jax.ShapeDtypeStruct(matrix.shape, matrix.dtype), jax.ShapeDtypeStruct((), jnp.int32)
-    call = jax.ffi.ffi_call(target, result, vmap_method="sequential")
+    result = (
+        jax.ShapeDtypeStruct(matrix.shape, matrix.dtype),
+        jax.ShapeDtypeStruct(matrix.shape[:-2], jnp.int32),
+    )
+    # The rule of `cholesky` comes first: `vmap` meets this call only in branches for other platforms.
+    call = jax.ffi.ffi_call(target, result, vmap_method="broadcast_all")
     factor, failed = call(matrix, uplo=np.uint8(ord("L")))
-    return factor.T, failed <= 0  # negative: it takes a matrix without rows for a mistake
+    return jnp.swapaxes(
+        factor, -1, -2
+    ), failed <= 0  # negative: it takes a matrix without rows for a mistake
 
 
 @custom_vmap
-def cholesky(matrix: Float[Array, "n n"]) -> tuple[Float[Array, "n n"], Bool[Array, ""]]:
+def cholesky(
+    matrix: Float[Array, "*stack n n"],
+) -> tuple[Float[Array, "*stack n n"], Bool[Array, "*stack"]]:
     """L of S = L L^T from the upper triangle of S, which is where LAPACK looks for it in a matrix that
     is stored by rows, and whether S is positive. Above L, and in L if it is not, there may be anything;
     NaN stays NaN. It has no derivatives."""
 
     def general(matrix: Array) -> tuple[Array, Array]:
-        factor = lax.linalg.cholesky(matrix.T, symmetrize_input=False)
-        return factor, jnp.all(jnp.isfinite(diagonal(factor)))
+        lower = jnp.swapaxes(matrix, -1, -2)
+        factor = lax.linalg.cholesky(lower, symmetrize_input=False)
+        pivots = jnp.diagonal(factor, axis1=-2, axis2=-1)
+        return factor, jnp.all(jnp.isfinite(pivots), axis=-1)
 
     return lax.platform_dependent(matrix, cpu=_potrf, default=general)
 
 
+cholesky.def_vmap(_stacks(cholesky, lambda matrix: matrix.shape[-1] ** 3 // 3))
+
+
 @custom_vmap
-def lu(matrix: Float[Array, "n n"]) -> tuple[Float[Array, "n n"], Array]:
+def lu(matrix: Float[Array, "*stack n n"]) -> tuple[Float[Array, "*stack n n"], Array]:
     """L and U in one matrix, and the order of the rows: matrix[order] = L U."""
     factor, _, order = lax.linalg.lu(matrix)
     return factor, order
 
 
-@cholesky.def_vmap
-def _(size: int, batched: list[bool], matrices: Array) -> tuple[Any, Any]:
-    return _one_by_one(cholesky, matrices), (True, True)
-
-
-@lu.def_vmap
-def _(size: int, batched: list[bool], matrices: Array) -> tuple[Any, Any]:
-    return _one_by_one(lu, matrices), (True, True)
+lu.def_vmap(_stacks(lu, lambda matrix: matrix.shape[-1] ** 3))
 
 
 def triangular_solve(
@@ -94,15 +132,13 @@ def triangular_solve(
 
 
 @custom_vmap
-def inverse_of_triangle(factor: Float[Array, "n n"]) -> Float[Array, "n n"]:
+def inverse_of_triangle(factor: Float[Array, "*stack n n"]) -> Float[Array, "*stack n n"]:
     """L^-1 of a lower triangle."""
-    unit = jnp.eye(len(factor), dtype=factor.dtype)
+    unit = jnp.broadcast_to(jnp.eye(factor.shape[-1], dtype=factor.dtype), factor.shape)
     return lax.linalg.triangular_solve(factor, unit, left_side=True, lower=True)
 
 
-@inverse_of_triangle.def_vmap
-def _(size: int, batched: list[bool], factors: Array) -> tuple[Any, Any]:
-    return _one_by_one(inverse_of_triangle, factors), True
+inverse_of_triangle.def_vmap(_stacks(inverse_of_triangle, lambda factor: factor.shape[-1] ** 3))
 
 
 def cholesky_solve(factor: Float[Array, "n n"], rhs: Float[Array, " n"]) -> Float[Array, " n"]:
@@ -120,15 +156,16 @@ def cholesky_solve(factor: Float[Array, "n n"], rhs: Float[Array, " n"]) -> Floa
 def _columns(function: Callable[[Array, Array], Array]) -> Callable[[Array, Array], Array]:
     """A solution with many right-hand sides, the columns of a matrix."""
     solve = custom_vmap(function)
+    side_by_side = _stacks(
+        solve, lambda factor, rhs: factor.shape[-1] * rhs.shape[-2] * rhs.shape[-1]
+    )
 
     @solve.def_vmap
-    def _(size: int, batched: list[bool], factors: Array, rhs: Array) -> tuple[Array, bool]:
-        if not batched[0]:  # more columns
-            columns = jnp.moveaxis(rhs, 0, -1)
-            found = solve(factors, columns.reshape(len(columns), -1))
-            return jnp.moveaxis(found.reshape(columns.shape), -1, 0), True
-        if not batched[1]:
-            rhs = jnp.broadcast_to(rhs, (size, *rhs.shape))
-        return _one_by_one(solve, factors, rhs), True
+    def _(size: int, batched: list[bool], factor: Array, rhs: Array) -> tuple[Array, bool]:
+        if batched[0]:
+            return side_by_side(size, batched, factor, rhs)
+        columns = jnp.moveaxis(rhs, 0, -1)  # one factor, more columns
+        found = solve(factor, columns.reshape(*columns.shape[:-2], -1))
+        return jnp.moveaxis(found.reshape(columns.shape), -1, 0), True
 
     return solve

@@ -103,3 +103,9 @@ def _loop_jvp(primals: Any, tangents: Any, *, unfinished: Any, body: Any, most: 
 
     _, moved = lax.custom_linear_solve(itself, (shifts, nothing), push, pull)
     return result, moved
+
+
+def equal_parts(number: int, most: int) -> int:
+    """The size of equal parts of a number of things, at most `most`: parts of two sizes would be two
+    programs."""
+    return next(size for size in range(max(1, min(number, most)), 0, -1) if number % size == 0)

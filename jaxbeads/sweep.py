@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import diffrax
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -13,14 +14,17 @@ from jaxtyping import Array
 from ._checks import described, fail, finite, increasing, whole
 from .breakdown import SimulationError
 from .chunks import NOT_RUN, Measured, all_members
+from .dynamics import evaluate
+from .factors import at_once
 from .rollout import Solution, Tolerance, rollout
-from .scene import Scene
+from .scene import Scene, check
 from .simulate import simulate
 from .state import State
 
 if TYPE_CHECKING:
     import xarray
 
+_PAIRS = 2**12  # of members side by side: about ten tables of them stay in a core's cache
 _EXPLAINED = 3  # members that failed are run again alone, to say why; no more than these
 
 Build = Callable[..., tuple[Scene, State]]
@@ -52,12 +56,13 @@ def sweep(
         table = sweep(build, {"rigidity": [1.0, 2.0], "weight": [0.1, 0.2, 0.3]}, ts, measure)
         table.speed.sel(weight=0.2); table.where(table.code == 0)
 
-    Members are followed by one compiled program, `chunk` of them on each device at a time (side by side
-    on an accelerator, in turn on a CPU, whose cores are used by more devices, see below), which sees
-    each value as an array: any number that does not change a shape may be an axis. Each member chooses
-    its own steps, and none changes another: one that fails is marked and the rest goes on. Chunks
-    of the same size give the same numbers, bit for bit, on any number of devices and processes of the
-    same kind.
+    Members are followed by one compiled program, `chunk` of them on each device at a time, which sees
+    each value as an array: any number that does not change a shape may be an axis. An accelerator takes
+    a chunk side by side, a CPU one member after the other, small ones with equal steps (`substeps`) a few
+    at a time; more of its cores are used by more devices, see below. Members choose steps of their own,
+    if not equal ones, and none changes another: one that fails is marked and the rest goes on. Chunks of
+    the same size give the same numbers, bit for bit, on any number of devices and processes of the same
+    kind.
 
     With a `folder` each chunk is written to it when it is done. The same call again reads what is there
     and runs the rest: after a kill, on other devices, or with `jax.distributed` initialised in several
@@ -111,7 +116,9 @@ def sweep(
         kept = {n: jnp.where(code == 0, x.astype(float), jnp.nan) for n, x in found.items()}
         return Measured(kept, code, solution.steps)
 
-    kept, code, steps = all_members(member, points, chunk, folder, devices, progress)
+    # With steps of their own members would wait for one another.
+    together = 1 if substeps is None else _together(build, points)
+    kept, code, steps = all_members(member, points, chunk, folder, devices, progress, together)
 
     def alone(point: dict[str, Array]) -> str:
         try:
@@ -143,6 +150,20 @@ def _built(build: Build, point: Mapping[str, Array]) -> tuple[Scene, State]:
     if not (isinstance(made, tuple) and len(made) == 2 and isinstance(made[0], Scene)):
         fail("build", "return a scene and a state", f"it returns {described(made)}")
     return made
+
+
+def _together(build: Build, points: Mapping[str, np.ndarray]) -> int:
+    """How many members with equal steps a CPU follows side by side: as many as LAPACK takes in one call,
+    while their tables of pairs stay in the fast cache."""
+
+    def multipliers(point: dict[str, Array]) -> tuple[Array, Array]:
+        scene, state = _built(build, point)
+        check(scene, state, single_precision=True)
+        return evaluate(0.0, state, scene).multipliers, state.position
+
+    point = {n: jax.ShapeDtypeStruct((), v.dtype) for n, v in points.items()}
+    rows, position = jax.eval_shape(multipliers, point)
+    return max(1, min(_PAIRS // len(position) ** 2, at_once(rows.size**3 // 3)))
 
 
 def _grid(

@@ -1,4 +1,4 @@
-"""Factorisations under vmap: right, and never by LAPACK's batched calls, which can wait for ever."""
+"""Factorisations under vmap: right, and never by large calls of LAPACK, which can wait for ever."""
 
 import re
 
@@ -12,13 +12,13 @@ from jaxbeads import scenes
 from jaxbeads.factors import cholesky, cholesky_solve, lu, triangular_solve
 
 
-def matrices(*shape):
-    return np.random.default_rng(0).normal(size=(*shape, 5, 5))
+def matrices(*shape, size=5):
+    return np.random.default_rng(0).normal(size=(*shape, size, size))
 
 
-def positive(*shape):
-    a = matrices(*shape)
-    return a @ np.swapaxes(a, -1, -2) + np.eye(5)
+def positive(*shape, size=5):
+    a = matrices(*shape, size=size)
+    return a @ np.swapaxes(a, -1, -2) + np.eye(size)
 
 
 def by_cholesky(matrix, rhs):
@@ -63,16 +63,35 @@ def test_cholesky_reads_the_upper_triangle():
     assert np.allclose(np.tril(single), np.linalg.cholesky(whole), rtol=1e-5)
 
 
-def batched_calls(function, *arguments):
-    """Calls of LAPACK with more than a matrix in the compiled program."""
+def shared_out(function, *arguments):
+    """Calls of LAPACK for several matrices in the compiled program, and those of them that jaxlib shares
+    out to other threads: with 200 000 operations or more, as it estimates them."""
     program = jax.jit(function).lower(*arguments).compile().as_text()
-    calls = [line for line in program.splitlines() if "lapack_" in line]
-    assert calls
-    return [line for line in calls if re.search(r"f64\[\d+,\d+,\d+", line)]
+    call = r"f64\[(\d+),(\d+),(\d+)\][^=]* custom-call\(.*lapack_d(potrf|getrf|trsm)_ffi"
+    several, shared = 0, []
+    for line in program.splitlines():
+        if found := re.search(call, line):
+            members, rows, columns = map(int, found.groups()[:3])
+            operations = members * rows * rows * columns // (3 if found[4] == "potrf" else 1)
+            several += members > 1
+            if members > 1 and operations >= 200_000:
+                shared.append(line)
+    return several, shared
+
+
+@pytest.mark.parametrize(("solve", "made"), [(by_cholesky, positive), (by_lu, matrices)])
+@pytest.mark.parametrize("size", [5, 38, 100])
+def test_calls_stay_small(solve, made, size):
+    a, rhs = made(40, 30, size=size), np.ones((40, 30, size))
+    several, shared = shared_out(jax.vmap(jax.vmap(solve)), a, rhs)
+    assert not shared
+    assert several or size == 100  # one such matrix is too much already
+    # What this would find:
+    assert shared_out(jax.vmap(jnp.linalg.cholesky), a[0])[1] or size == 5
 
 
 @pytest.mark.parametrize("solver", [jb.AB3(), jb.Rosenbrock()])
-def test_no_batched_call_in_a_batch_of_runs(solver):
+def test_calls_stay_small_in_a_batch_of_runs(solver):
     case = scenes.settling(6)
     ts = jnp.linspace(0, 1e-2, 2)
 
@@ -81,9 +100,9 @@ def test_no_batched_call_in_a_batch_of_runs(solver):
         return run.final.position.sum()
 
     end = jb.vary(end, case.scene, lambda scene: scene.viscosity)
-    several = jnp.array([1.0, 1.1, 1.2])
-    assert not batched_calls(jax.vmap(end), several)
+    values = jnp.linspace(1.0, 1.2, 1000)
+    several, shared = shared_out(jax.vmap(end), values)
+    assert several
+    assert not shared
     if isinstance(solver, jb.AB3):
-        assert not batched_calls(jax.vmap(jax.grad(end)), several)
-    # What the tests above would find:
-    assert batched_calls(jax.vmap(jnp.linalg.cholesky), jnp.asarray(positive(3)))
+        assert not shared_out(jax.vmap(jax.grad(end)), values)[1]

@@ -211,21 +211,24 @@ jax.config.update("jax_num_cpu_devices", int(sys.argv[1]))
 if len(sys.argv) > 3:
     jax.distributed.initialize(sys.argv[3], 2, int(sys.argv[4]))
 import test_sweep
-options = dict(weights=range(1, 8), solver=test_sweep.TSIT5, substeps=None)
-found = test_sweep.swept(sys.argv[2] or None, test_sweep.held, **options)
-print(found.to_dict()["data_vars"])
+own = dict(weights=range(1, 8), solver=test_sweep.TSIT5, substeps=None)
+equal = dict(weights=range(1, 8), chunk=4)
+folder = sys.argv[2]
+found = test_sweep.swept(folder or None, test_sweep.held, **own)
+others = test_sweep.swept(folder + "/equal" if folder else None, test_sweep.held, **equal)
+print({"own": found.to_dict()["data_vars"], "equal": others.to_dict()["data_vars"]})
 """
 TSIT5 = diffrax.Tsit5()
 
 
 def held(weight):
-    """A fibre without stiffness; each member chooses steps of its own."""
+    """A fibre without stiffness."""
     forces = [Weight(jnp.stack([0.0 * weight, -weight]))]
     return Scene(CHAIN, 1.0, constraints=[Gears()], forces=forces), STATE
 
 
 def start(*arguments):
-    """A sweep of four chunks in another process."""
+    """In another process a sweep of four chunks by steps of their own, one of two by equal ones."""
     command = [sys.executable, "-c", _ELSEWHERE, *map(str, arguments)]
     # As users have it: the code generator of the other tests cuts loops by the threads of a device.
     flags = os.environ | {"XLA_FLAGS": "--xla_backend_optimization_level=0"}

@@ -15,6 +15,7 @@ from .base import (
     bond_drift,
     empty,
     ends,
+    kept,
     place,
     regular,
 )
@@ -73,8 +74,7 @@ class Gears(AbstractChainConstraint):
             ad = _weighted(ends(1, -1), a, None)
             aa = _weighted(ends(1, 1), a, a)
         scale = tensor.tt[0][0][0, 0]  # the mobility of a bead
-        one = 1 + 0 * scale  # a division, as in `tensors._coefficients`
-        sums = [[aa(f) / one for f in row] for row in tensor.rr]
+        sums = [[kept(aa)(f) for f in row] for row in tensor.rr]
         mask = chain.bond_mask
         s = empty(dim * bonds, e.dtype)
         for i in range(dim):
