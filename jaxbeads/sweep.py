@@ -58,11 +58,10 @@ def sweep(
 
     Members are followed by one compiled program, `chunk` of them on each device at a time, which sees
     each value as an array: any number that does not change a shape may be an axis. An accelerator takes
-    a chunk side by side, a CPU one member after the other, small ones with equal steps (`substeps`) a few
-    at a time; more of its cores are used by more devices, see below. Members choose steps of their own,
-    if not equal ones, and none changes another: one that fails is marked and the rest goes on. Chunks of
-    the same size give the same numbers, bit for bit, on any number of devices and processes of the same
-    kind.
+    a chunk side by side; a CPU one member after the other, or a few small ones at a time if their steps
+    are equal (`substeps`); more of its cores are used by more devices, see below. None changes another:
+    one that fails is marked and the rest goes on. Chunks of the same size give the same numbers, bit for
+    bit, on any number of devices and processes of the same kind.
 
     With a `folder` each chunk is written to it when it is done. The same call again reads what is there
     and runs the rest: after a kill, on other devices, or with `jax.distributed` initialised in several
