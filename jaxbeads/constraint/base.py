@@ -100,8 +100,8 @@ def regular(block: Array, mask: np.ndarray, scale: Array | None) -> Array:
     return block if scale is None else block + jnp.diag(~mask * scale)
 
 
-def kept(function: Difference) -> Difference:
-    """As `function`, whose result is kept for all that reads it.
+def kept(function: Difference, one: Array) -> Difference:
+    """As `function`, whose result is kept for all that reads it; `one` is a 1 that XLA does not know.
 
     XLA on the CPU computes what looks cheap anew wherever it is read, but never a quotient; that by a
     number of each member, side by side with others, it makes a product first. There the field that goes
@@ -109,15 +109,14 @@ def kept(function: Difference) -> Difference:
     """
 
     @custom_vmap
-    def apply(field: Array) -> Array:
-        found = function(field)
-        return found / (1 + 0 * found[0, 0])
+    def apply(field: Array, one: Array) -> Array:
+        return function(field) / one
 
     @apply.def_vmap
-    def _(size: int, batched: list[bool], fields: Array) -> tuple[Array, bool]:
+    def _(size: int, batched: list[bool], fields: Array, one: Array) -> tuple[Array, bool]:
         return jax.vmap(function)(fields / (1 + 0 * fields)), True
 
-    return apply
+    return lambda field: apply(field, one)
 
 
 def empty(size: int, dtype: Any) -> Array:

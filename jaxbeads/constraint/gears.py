@@ -74,7 +74,8 @@ class Gears(AbstractChainConstraint):
             ad = _weighted(ends(1, -1), a, None)
             aa = _weighted(ends(1, 1), a, a)
         scale = tensor.tt[0][0][0, 0]  # the mobility of a bead
-        sums = [[kept(aa)(f) for f in row] for row in tensor.rr]
+        keep = kept(aa, 1 + 0 * scale)
+        sums = [[keep(f) for f in row] for row in tensor.rr]
         mask = chain.bond_mask
         s = empty(dim * bonds, e.dtype)
         for i in range(dim):
