@@ -19,21 +19,39 @@ from jaxtyping import Array, Bool, Float
 from .loops import equal_parts
 
 _OPERATIONS = 150_000 if jax.__version_info__ < (0, 11) else 0
+Operations = Callable[..., int]
+"""Those of one member, from all members' stacks."""
 
 
 def at_once(operations: int) -> int:
     """How many members, of as many operations each, may go into one call of LAPACK.
 
-    Calls with more than 200 000 operations in all (jaxlib 0.10; before it none) share their work out to
-    the threads that run the program itself; as many of them at once as there are threads wait for each
-    other for ever. Smaller ones are done where they are called, one matrix after the other. More cores
-    are used by more devices, see `sweep`. Of later versions nothing is known: one matrix in a call.
+    Calls with more than 200 000 operations in all (jaxlib 0.10) share their work out to the threads that
+    run the program itself; as many of them at once as there are threads wait for each other for ever.
+    Smaller ones are done where they are called, one matrix after the other. More cores are used by more
+    devices, see `sweep`. Of later versions nothing is known: one matrix in a call.
     """
     return max(1, _OPERATIONS // max(operations, 1))
 
 
-def _stacks(function: custom_vmap, operations: Callable[..., int]) -> Callable[..., Any]:
-    """The rule of a function for members: in calls of as many as may be on a CPU, in one elsewhere."""
+def _calls(function: custom_vmap, operations: Operations, *stacks: Array) -> Any:
+    """A function of members, the first axis: on a CPU as many in a call as may be, elsewhere all."""
+    members = len(stacks[0])
+    group = equal_parts(members, at_once(operations(*stacks)))
+    # The function itself is called, so that its rule holds for one more batch too.
+    if group == members:
+        return function(*stacks)
+
+    def in_turn(*stacks: Array) -> Any:
+        cut = [x.reshape(members // group, group, *x.shape[1:]) for x in stacks]
+        found = lax.map(lambda stack: function(*stack), cut)
+        return jax.tree.map(lambda x: x.reshape(members, *x.shape[2:]), found)
+
+    return lax.platform_dependent(*stacks, cpu=in_turn, default=function.fun)
+
+
+def _stacks(function: custom_vmap, operations: Operations) -> Callable[..., Any]:
+    """The rule of a function for members: they and the stack that there is make one stack."""
 
     def rule(size: int, batched: list[bool], *several: Array) -> tuple[Any, Any]:
         several = tuple(
@@ -41,19 +59,7 @@ def _stacks(function: custom_vmap, operations: Callable[..., int]) -> Callable[.
             for x, b in zip(several, batched, strict=True)
         )
         axes = several[0].shape[:-2]
-        flat = [x.reshape(-1, *x.shape[-2:]) for x in several]
-        members = len(flat[0])
-        group = equal_parts(members, at_once(operations(*flat)))
-
-        def in_turn(*stacks: Array) -> Any:
-            cut = [x.reshape(members // group, group, *x.shape[1:]) for x in stacks]
-            found = lax.map(lambda stack: function(*stack), cut)
-            return jax.tree.map(lambda x: x.reshape(members, *x.shape[2:]), found)
-
-        if group == members:
-            found = function(*flat)
-        else:
-            found = lax.platform_dependent(*flat, cpu=in_turn, default=function.fun)
+        found = _calls(function, operations, *(x.reshape(-1, *x.shape[-2:]) for x in several))
         found = jax.tree.map(lambda x: x.reshape(*axes, *x.shape[1:]), found)
         return found, jax.tree.map(lambda _: True, found)
 
@@ -81,9 +87,8 @@ def _potrf(matrix: Array) -> tuple[Array, Array]:
     # The rule of `cholesky` comes first: `vmap` meets this call only in branches for other platforms.
     call = jax.ffi.ffi_call(target, result, vmap_method="broadcast_all")
     factor, failed = call(matrix, uplo=np.uint8(ord("L")))
-    return jnp.swapaxes(
-        factor, -1, -2
-    ), failed <= 0  # negative: it takes a matrix without rows for a mistake
+    # Negative is no failure: it takes a matrix without rows for a mistake.
+    return jnp.swapaxes(factor, -1, -2), failed <= 0
 
 
 @custom_vmap
@@ -156,16 +161,20 @@ def cholesky_solve(factor: Float[Array, "n n"], rhs: Float[Array, " n"]) -> Floa
 def _columns(function: Callable[[Array, Array], Array]) -> Callable[[Array, Array], Array]:
     """A solution with many right-hand sides, the columns of a matrix."""
     solve = custom_vmap(function)
-    side_by_side = _stacks(
-        solve, lambda factor, rhs: factor.shape[-1] * rhs.shape[-2] * rhs.shape[-1]
-    )
+
+    def operations(factor: Array, rhs: Array) -> int:
+        return factor.shape[-1] * rhs.shape[-2] * rhs.shape[-1]
+
+    side_by_side = _stacks(solve, operations)
 
     @solve.def_vmap
     def _(size: int, batched: list[bool], factor: Array, rhs: Array) -> tuple[Array, bool]:
         if batched[0]:
             return side_by_side(size, batched, factor, rhs)
-        columns = jnp.moveaxis(rhs, 0, -1)  # one factor, more columns
-        found = solve(factor, columns.reshape(*columns.shape[:-2], -1))
+        columns = jnp.moveaxis(rhs, 0, -1)  # the same factors, more columns
+        joined = columns.reshape(*columns.shape[:-2], -1)
+        stacked = factor.ndim > 2
+        found = _calls(solve, operations, factor, joined) if stacked else solve(factor, joined)
         return jnp.moveaxis(found.reshape(columns.shape), -1, 0), True
 
     return solve

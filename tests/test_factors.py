@@ -9,7 +9,8 @@ import pytest
 
 import jaxbeads as jb
 from jaxbeads import scenes
-from jaxbeads.factors import cholesky, cholesky_solve, lu, triangular_solve
+from jaxbeads.factors import at_once, cholesky, cholesky_solve, lu, triangular_solve
+from jaxbeads.loops import equal_parts
 
 
 def matrices(*shape, size=5):
@@ -88,6 +89,30 @@ def test_calls_stay_small(solve, made, size):
     assert several or size == 100  # one such matrix is too much already
     # What this would find:
     assert shared_out(jax.vmap(jnp.linalg.cholesky), a[0])[1] or size == 5
+
+
+@pytest.mark.parametrize(("solve", "made"), [(by_cholesky, positive), (by_lu, matrices)])
+@pytest.mark.parametrize("inner", [(0, 0), (0, None)])
+def test_calls_stay_small_with_many_columns(solve, made, inner):
+    """Members side by side, then right-hand sides, as in derivatives of a batch by many parameters."""
+    a = made(4, size=38)
+    rhs = np.random.default_rng(1).normal(size=(200, *((4,) if inner[1] == 0 else ()), 38))
+    function = jax.vmap(jax.vmap(solve, inner), (None, 0))
+    assert not shared_out(function, a, rhs)[1]
+    columns = np.broadcast_to(rhs if inner[1] == 0 else rhs[:, None], (200, 4, 38))
+    expected = np.linalg.solve(np.broadcast_to(a, (200, 4, 38, 38)), columns[..., None])
+    assert np.allclose(jax.jit(function)(a, rhs), expected[..., 0], rtol=1e-9, atol=1e-9)
+
+
+def test_parts():
+    assert at_once(38**3 // 3) == 8 and at_once(10**9) == 1 and at_once(0) >= 1000
+    assert [equal_parts(*x) for x in [(16, 10), (15, 8), (7, 4), (5, 100), (5, 0)]] == [
+        8,
+        5,
+        1,
+        5,
+        1,
+    ]
 
 
 @pytest.mark.parametrize("solver", [jb.AB3(), jb.Rosenbrock()])
