@@ -24,7 +24,7 @@ from .state import State
 if TYPE_CHECKING:
     import xarray
 
-_PAIRS = 2**12  # of members side by side: about ten tables of them stay in a core's cache
+_PAIRS = 2**12  # of members side by side: a table of them takes 32 KiB
 _EXPLAINED = 3  # members that failed are run again alone, to say why; no more than these
 
 Build = Callable[..., tuple[Scene, State]]
