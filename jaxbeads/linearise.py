@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jax.extend.core import Literal
 from jaxtyping import Array, Float
 
 from ._checks import fail
@@ -22,6 +21,7 @@ from .flow import AbstractFlow
 from .flow.base import spin_and_strain, velocity_and_gradient
 from .mobility import MatrixFree, MobilityOperator
 from .pairs import PairTensor
+from .programs import reached
 from .saddle import (
     Factorised,
     Iterations,
@@ -134,7 +134,7 @@ def _drift(
         slip = None if system is None else slips(t, state, scene)(held)
         return free_motion(t, state, scene, operator), slip
 
-    if not any(_reached(terms, t)):
+    if not any(reached(terms, t)):
         return None
     free, slip = jax.jvp(terms, (t,), (jnp.ones_like(t),))[1]
     if system is None or slip is None:
@@ -147,16 +147,6 @@ def _columns(function: Callable[[Any], Any], at: Any, shifts: Any) -> Any:
     """Derivatives of a cheap function along shifts, a leading axis."""
     _, push = jax.linearize(function, at)
     return jax.vmap(push)(shifts)
-
-
-def _reached(function: Callable[[Any], Any], at: Any) -> list[bool]:
-    """Which of the arrays that a function returns depend on its argument at all."""
-    program = jax.make_jaxpr(function)(at).jaxpr
-    reached = set(program.invars)
-    for step in program.eqns:
-        if any(v in reached for v in step.invars if not isinstance(v, Literal)):
-            reached.update(step.outvars)
-    return [not isinstance(v, Literal) and v in reached for v in program.outvars]
 
 
 def _explicit_columns(
@@ -192,7 +182,7 @@ def _explicit_columns(
         moved = add_motions(moved, _columns(lambda s: carried(t, s, scene), state, shifts))
     # Loads that are the same everywhere, as weights, have no columns.
     parts = {name: part for name, part in vars(load(state)).items() if part is not None}
-    varying = [n for n, r in zip(parts, _reached(load, state), strict=True) if r]
+    varying = [n for n, r in zip(parts, reached(load, state), strict=True) if r]
     if varying:
         loads = _columns(lambda s: {n: getattr(load(s), n) for n in varying}, state, shifts)
         moved = add_motions(moved, jax.vmap(lambda part: operator.motion(Load(**part)))(loads))

@@ -1,6 +1,7 @@
 """What a flow is."""
 
 import abc
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -10,6 +11,10 @@ from jaxtyping import Array, Float
 
 class AbstractFlow(eqx.Module):
     """Velocity of the undisturbed fluid. Spin and rate of strain follow by differentiation."""
+
+    smooth: ClassVar[bool] = False
+    """Whether the velocity changes little over a bead's radius and, unless it depends on the time, along
+    a path of many. Adaptive steps look along their path for what others do."""
 
     def check(self, dim: int) -> None:
         """Refuse a dimension that the flow cannot serve, in one sentence."""
@@ -21,6 +26,8 @@ class AbstractFlow(eqx.Module):
 
 class AbstractLinearFlow(AbstractFlow):
     """A flow u = G(t) x whose gradient is the same everywhere: cheaper than a general one."""
+
+    smooth: ClassVar[bool] = True
 
     @abc.abstractmethod
     def gradient(self, t: Float[Array, ""], dim: int) -> Float[Array, "dim dim"]:

@@ -1,5 +1,7 @@
 """Pressure-driven flow between plates."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -15,6 +17,7 @@ class Poiseuille(AbstractFlow):
     **Arguments** `speed` on the centre line [length/time], `half_width` [length], positive.
     """
 
+    smooth: ClassVar[bool] = True
     speed: Float[Array, ""] = eqx.field(converter=float_array)
     half_width: Float[Array, ""] = eqx.field(converter=float_array)
 

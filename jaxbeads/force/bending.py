@@ -82,6 +82,7 @@ class Bending(AbstractForce):
     """
 
     rotational: ClassVar[bool] = True
+    smooth: ClassVar[bool] = True
     rigidity: Array
     intrinsic_curvature: Curvature
     law: AbstractCurvatureLaw
@@ -138,6 +139,7 @@ class DrivingMoment(AbstractForce):
     """
 
     rotational: ClassVar[bool] = True
+    smooth: ClassVar[bool] = True
     moment: Curvature
 
     def __init__(self, moment: Any) -> None:
@@ -166,6 +168,7 @@ class BendingEnergy(AbstractPotential):
     """
 
     rotational: ClassVar[bool] = False
+    smooth: ClassVar[bool] = True
     rigidity: Array
     intrinsic_curvature: Curvature
     law: AbstractCurvatureLaw

@@ -27,6 +27,7 @@ class Follower(AbstractForce):
     """
 
     rotational: ClassVar[bool] = False
+    smooth: ClassVar[bool] = True
     force: Float[Array, ""] = eqx.field(converter=float_array)
     end: int = eqx.field(static=True, default=-1)
 

@@ -79,6 +79,7 @@ class JointBending(AbstractForce):
     """
 
     rotational: ClassVar[bool] = True
+    smooth: ClassVar[bool] = True
     oriented: ClassVar[bool] = True
     rigidity: Array
     intrinsic_curvature: Curvature

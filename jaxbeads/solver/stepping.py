@@ -20,6 +20,7 @@ from ..geometry import norm
 from ..loops import checkpointed, loop
 from ..scene import Scene
 from ..state import State
+from .watch import watch
 
 Time = Any  # a scalar: `diffrax` hands out floats and arrays
 
@@ -162,25 +163,46 @@ class AdaptiveSteps(eqx.Module):
         adaptive = _Adaptive(t0, end, state, memory, controller, jump, (t0, t0, dense))
         return Carry(state, jnp.zeros((), int), jnp.zeros((), int), adaptive)
 
-    def attempt(self, scene: Scene, code: Array, a: _Adaptive) -> tuple[Array, _Adaptive]:
+    def attempt(
+        self, scene: Scene, code: Array, a: _Adaptive, gap: Array
+    ) -> tuple[Array, _Adaptive]:
+        """One step, kept or not, where save times are `gap` apart."""
+        t0, wanted = a.previous, a.next - a.previous
+        watched = watch(scene, t0, a.state)
+        # A step ends where a law jumps, and the next begins on the other side.
+        t1, beyond = watched.end(*lax.stop_gradient((t0, a.next, gap)))
+        shortened = t1 < a.next
+        t1 = jnp.where(shortened, t1, a.next)
         y, error, dense, memory, result = self.solver.step(
-            _TERM, a.previous, a.next, a.state, scene, a.solver, a.jump
+            _TERM, t0, t1, a.state, scene, a.solver, a.jump
         )
         order: Any = self.solver.error_order(_TERM)
+        path = self.solver.interpolation_cls(t0=t0, t1=t1, **dense).evaluate
+        unseen = watched.unseen(t0, t1, path)
         # A step that fails or leaves the finite numbers is tried again with a smaller one.
         bad = (result != diffrax.RESULTS.successful) | ~jnp.all(jnp.isfinite(y.position))
+        bad = bad | watched.passed(t0, t1, y, path)
+        if unseen is not None:
+            bad = bad | ~jnp.isfinite(unseen)
+            off = lax.stop_gradient(unseen) / y.position.shape[1] ** 0.5
+            error = eqx.tree_at(lambda e: e.position, error, jnp.abs(error.position) + off)
         error = jax.tree.map(lambda e: jnp.where(bad, jnp.inf, e), error)
         keep, start, end, jump, controller, verdict = self.controller.adapt_step_size(
-            a.previous, a.next, a.state, y, scene, error, order, a.controller
+            t0, t1, a.state, y, scene, error, order, a.controller
         )
         if self.projected:
             y = project(scene, y)
         keep = jnp.asarray(keep)
+        # A step that was shortened says little about how long the next one may be.
+        following = jnp.maximum(end - start, jnp.where(keep & shortened, wanted, 0.0))
+        switched = keep & (beyond > t1)
+        start = jnp.where(switched, beyond, start)
+        end, jump = start + following, jnp.asarray(jump) | switched
 
         def pick(new: Any, old: Any) -> Any:
             return jax.tree.map(lambda n, o: jnp.where(keep, n, o), new, old)
 
-        dense = pick((a.previous, a.next, dense), a.dense)
+        dense = pick((t0, t1, dense), a.dense)
         # The step has shrunk until it no longer moves the time: nothing helps.
         stuck = (end <= start) | (verdict != diffrax.RESULTS.successful)
         after = _Adaptive(
@@ -197,7 +219,7 @@ class AdaptiveSteps(eqx.Module):
     def interval(self, scene: Scene, carry: Carry, t0: Time, t1: Time, intervals: int = 1) -> Carry:
         """Carry at t1 from that at t0, one of so many intervals."""
         first = jnp.zeros((), int), carry.code, carry.memory
-        fixed = self, scene, jnp.asarray(t1)
+        fixed = self, scene, jnp.asarray(t0), jnp.asarray(t1)
         count, code, a = loop(_unfinished, _attempted, first, fixed, self.max_steps)
         start, end, info = a.dense
         inside = jnp.where(
@@ -211,18 +233,18 @@ class AdaptiveSteps(eqx.Module):
 
 
 _Turn = tuple[Array, Array, _Adaptive]
-_Fixed = tuple[AdaptiveSteps, Scene, Array]
+_Fixed = tuple[AdaptiveSteps, Scene, Array, Array]
 
 
 def _unfinished(turn: _Turn, fixed: _Fixed) -> Array:
     _, code, a = turn
-    return (a.previous < fixed[2]) & (code == 0)
+    return (a.previous < fixed[3]) & (code == 0)
 
 
 def _attempted(turn: _Turn, fixed: _Fixed) -> _Turn:
     count, code, a = turn
-    stepper, scene, t1 = fixed
-    code, a = stepper.attempt(scene, code, a)
+    stepper, scene, t0, t1 = fixed
+    code, a = stepper.attempt(scene, code, a, t1 - t0)
     many = (count + 1 >= stepper.max_steps) & (a.previous < t1)
     return count + 1, jnp.where(many, 1, code), a
 
