@@ -12,10 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .chain import Chain
 from .constraint import AbstractConstraint
 from .factors import symmetric
 from .flow import AbstractFlow
 from .flow.base import spin_and_strain, velocity_and_gradient
+from .frames import normal_rate
 from .geometry import spin_cross
 from .loops import keep
 from .mobility import MatrixFree, MobilityOperator
@@ -38,8 +40,10 @@ def applied_load(t: Time, state: State, scene: Scene) -> Load:
 
 
 def _fluid(flow: AbstractFlow, t: Time, state: State, scene: Scene) -> tuple[Motion, Array]:
-    """Motion of the fluid at the beads and its rate of strain."""
-    velocity, gradient = velocity_and_gradient(flow, jnp.asarray(t), state.position)
+    """Motion of the fluid, as the beads feel it, and its rate of strain."""
+    velocity, gradient = velocity_and_gradient(
+        flow, jnp.asarray(t), state.position, scene.chain.radius
+    )
     spin, strain = spin_and_strain(gradient)
     still = zero_motion(state, scene.rotational).spin
     turned = None if still is None else jnp.broadcast_to(spin, still.shape)
@@ -47,7 +51,7 @@ def _fluid(flow: AbstractFlow, t: Time, state: State, scene: Scene) -> tuple[Mot
 
 
 def carried(t: Time, state: State, scene: Scene) -> Motion:
-    """V_inf, the motion of the fluid at the beads."""
+    """V_inf, the motion of the fluid as the beads feel it."""
     if scene.flow is None:
         return zero_motion(state, scene.rotational)
     return _fluid(scene.flow, t, state, scene)[0]
@@ -262,15 +266,16 @@ def _residual(t: Time, state: State, scene: Scene) -> Array:
 
 def rate(t: Time, state: State, scene: Scene) -> State:
     """Time derivative of the state: the right-hand side that the solvers integrate, eqs (38), (48)."""
-    return moving(motion(t, state, scene), state)
+    return moving(motion(t, state, scene), state, scene.chain)
 
 
-def moving(moved: Motion, state: State) -> State:
+def moving(moved: Motion, state: State, chain: Chain) -> State:
     """Rate of change of the state in a motion."""
+    turning = normal_rate(state, moved.velocity, chain)
     if state.director is None:
-        return State(moved.velocity)
+        return State(moved.velocity, None, turning)
     if moved.spin is None:
         raise ValueError(
             "Argument `state` must hold no directors, but no term of the scene turns beads."
         )
-    return State(moved.velocity, spin_cross(moved.spin, state.director))
+    return State(moved.velocity, spin_cross(moved.spin, state.director), turning)

@@ -1,6 +1,6 @@
 """Trajectory files: HDF5, written while running, from which a run continues bit for bit.
 
-Layout: `t` (times), `position` (times, beads, dim), `director` where there is one, `residual`,
+Layout: `t` (times), `position` (times, beads, dim), `director` and `normal` where there are, `residual`,
 `bond_length_error`; `ts` (all planned times); group `scene` (every number of the model and solver);
 groups `checkpoint/0` and `checkpoint/1` (all that the next step depends on, written in turns); `mark`
 (which of the two is whole, how many states belong to it, steps so far), written last in one piece: what
@@ -27,7 +27,7 @@ from .state import State
 
 FORMAT = 1
 _COLUMNS = ("t", "position", "residual", "bond_length_error")
-_OPTIONAL = "director"
+_OPTIONAL = ("director", "normal")
 
 
 def _leaves(tree: Any) -> list[np.ndarray]:
@@ -95,8 +95,9 @@ class TrajectoryFile:
         for index, leaf in enumerate(_leaves((scene, stepper))):
             handle[f"scene/{index}"] = leaf
         columns = {"t": np.asarray(ts)[:1], "position": np.asarray(state.position)[None]}
-        if state.director is not None:
-            columns["director"] = np.asarray(state.director)[None]
+        for name in _OPTIONAL:
+            if (vectors := getattr(state, name)) is not None:
+                columns[name] = np.asarray(vectors)[None]
         for name in ("residual", "bond_length_error"):
             columns[name] = np.zeros(1)
         for name, first in columns.items():
@@ -122,6 +123,7 @@ class TrajectoryFile:
             "t": part.ts,
             "position": part.states.position,
             "director": part.states.director,
+            "normal": part.states.normal,
             "residual": part.residual,
             "bond_length_error": part.bond_length_error,
         }
@@ -167,10 +169,10 @@ def load(path: str | Path) -> Solution:
         _, done, steps = (int(x) for x in np.asarray(handle["mark"]))
         planned, stored = np.asarray(handle["ts"]), _whole_columns(handle, path, done)
         ts, position, residual, error = (jnp.asarray(stored[name]) for name in _COLUMNS)
-        director = jnp.asarray(stored[_OPTIONAL]) if _OPTIONAL in stored else None
+        vectors = {name: jnp.asarray(stored[name]) for name in _OPTIONAL if name in stored}
         return Solution(
             ts,
-            batch_state(position, director),
+            batch_state(position, **vectors),
             jnp.asarray(steps),
             jnp.zeros((), int),
             residual,
@@ -181,7 +183,7 @@ def load(path: str | Path) -> Solution:
 
 def _whole_columns(handle: h5py.File, path: str | Path, done: int) -> dict[str, np.ndarray]:
     """The states that the mark vouches for."""
-    names = [*_COLUMNS, *({_OPTIONAL} & set(handle))]
+    names = [*_COLUMNS, *(set(_OPTIONAL) & set(handle))]
     columns = {name: np.asarray(handle[name]) for name in names}
     short = min(len(column) for column in columns.values())
     times = np.asarray(handle["ts"])[:done]
@@ -198,11 +200,13 @@ def planned_times(path: str | Path) -> jax.Array:
         return jnp.asarray(np.asarray(handle["ts"]))
 
 
-def batch_state(position: jax.Array, director: jax.Array | None) -> State:
+def batch_state(
+    position: jax.Array, director: jax.Array | None = None, normal: jax.Array | None = None
+) -> State:
     """A `State` with leading axes."""
-    blank = jnp.zeros((1, 2))
-    tree = jax.tree.structure(State(blank, None if director is None else blank))
-    return jax.tree.unflatten(tree, [x for x in (position, director) if x is not None])
+    blank, given = jnp.zeros((1, 3)), (position, director, normal)
+    tree = jax.tree.structure(State(*(None if x is None else blank for x in given)))
+    return jax.tree.unflatten(tree, [x for x in given if x is not None])
 
 
 def compare(path: str | Path, scene: Scene, stepper: Stepper) -> None:

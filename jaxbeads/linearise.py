@@ -82,7 +82,7 @@ def linearise(
     held, multipliers = (free, None) if system is None else system.hold(free)
 
     def still(motion: Motion) -> Array:
-        return coordinates.rate(coordinates.origin, state, moving(motion, state))
+        return coordinates.rate(coordinates.origin, state, moving(motion, state, scene.chain))
 
     later = _drift(t, state, scene, operator, system, held)
     drift = jnp.zeros_like(coordinates.origin) if later is None else still(later)
@@ -111,10 +111,10 @@ def _jacobian(
         moved = _hold_columns(t, state, shifts, scene, system, held, moved)
 
     def turned(at: tuple[Array, State]) -> Array:
-        return coordinates.rate(*at, moving(held, at[1]))
+        return coordinates.rate(*at, moving(held, at[1], scene.chain))
 
     def still(motion: Motion) -> Array:
-        return coordinates.rate(x, state, moving(motion, state))
+        return coordinates.rate(x, state, moving(motion, state, scene.chain))
 
     columns = jax.vmap(still)(moved) + _columns(turned, (x, state), (units, shifts))
     return columns.T
@@ -173,7 +173,7 @@ def _explicit_columns(
         scene.viscosity,
         scene.rotational,
         load(state),
-        None if scene.flow is None else _strain(scene.flow, t),
+        None if scene.flow is None else _strain(scene.flow, t, scene.chain.radius),
         shifts.position,
     )
     if interactions is not None:
@@ -189,9 +189,9 @@ def _explicit_columns(
     return moved
 
 
-def _strain(flow: AbstractFlow, t: Array) -> Callable[[Array], Array]:
+def _strain(flow: AbstractFlow, t: Array, radius: Array) -> Callable[[Array], Array]:
     """The ambient rate of strain at positions."""
-    return lambda position: spin_and_strain(velocity_and_gradient(flow, t, position)[1])[1]
+    return lambda position: spin_and_strain(velocity_and_gradient(flow, t, position, radius)[1])[1]
 
 
 def _hold_columns(

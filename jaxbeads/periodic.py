@@ -86,6 +86,7 @@ def periodic_state(
     none is found (under `jit`, which cannot raise, `converged` is false and the numbers are NaN).
     """
     check(scene, state)
+    state = scene.begin(state)
     positive("period", period)
     positive("accuracy", accuracy)
     whole("max_steps", max_steps, 1)
@@ -128,11 +129,13 @@ class _Figure(eqx.Module):
 def _figure(shape: Shape, state: State) -> _Figure:
     chart, dim = shape.chart, state.position.shape[1]
     none = jnp.zeros((0, dim), state.position.dtype)
-    loose = none if state.director is None else state.director
+    carried = [v for v in (state.director, state.normal) if v is not None]
     if chart.constraint is None:
-        return _Figure(state.position, none, loose)
+        return _Figure(state.position, none, jnp.concatenate([none, *carried]))
     directions = chart.constraint.directions(state, chart.chain)
-    loose = none if chart.constraint.oriented else loose
+    if chart.constraint.oriented:
+        carried = [v for v in (state.normal,) if v is not None]
+    loose = jnp.concatenate([none, *carried])
     return _Figure(chart.places(state.position), directions, loose)
 
 

@@ -244,6 +244,7 @@ def rollout(
     """
     check(scene, state, single_precision=single_precision)
     increasing("ts", ts)
+    state = scene.begin(state)
     ts = float_array(ts).astype(state.position.dtype)
     stepper = stepper_for(scene, ts, solver, substeps, controller, tolerance, projected, max_steps)
     carry, states = advance(stepper, scene, stepper.init(scene, state, ts[0], ts[1]), ts)

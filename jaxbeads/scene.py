@@ -10,15 +10,20 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from ._checks import described, fail, finite, kind, positive, shape
+from ._checks import described, fail, finite, kind, known, positive, shape
 from ._typing import float_array
 from .chain import Chain
 from .constraint import AbstractConstraint, Joint
 from .flow import AbstractFlow
 from .force import AbstractForce, Bending, JointBending
-from .geometry import smallest_gap
+from .frames import framed
+from .geometry import norm, smallest_gap
 from .mobility import RPY, AbstractMobility
 from .state import State
+
+
+_UNIT = 0.01
+"""How far the length of a director may be off one."""
 
 
 def _terms(terms: Any) -> Any:
@@ -68,6 +73,13 @@ class Scene(eqx.Module):
         """Whether directors take part, which any one term may ask for."""
         return any(term.oriented for term in (*self.constraints, *self.forces))
 
+    def begin(self, state: State) -> State:
+        """A state with all that the terms need: normals of its fibres, where a drive acts along them."""
+        planar = state.position.shape[1] == 2
+        if planar or not any(force.framed(self.chain) for force in self.forces):
+            return state
+        return framed(state, self.chain)
+
 
 def _check_kinds(name: str, terms: Any, wanted: type) -> None:
     if not isinstance(terms, tuple):
@@ -105,6 +117,16 @@ def check(
     finite("state.position", position)
     if state.director is not None and not scene.rotational:
         fail("state", "hold no directors", "no term of the scene turns beads")
+    if state.director is not None and known(state.director):
+        off = np.abs(np.asarray(norm(state.director)) - 1)
+        if off.max() > _UNIT:
+            must, bead = "hold unit vectors", int(np.argmax(off))
+            length = float(norm(state.director)[bead])
+            fail("state.director", must, f"that of bead {bead} has length {length:.3g}")
+    fibres = len(chain.fibres)
+    if state.normal is not None and state.normal.shape[0] != fibres:
+        must = f"hold a normal for each of the {fibres} fibres"
+        fail("state.normal", must, f"it holds {state.normal.shape[0]}")
     if state.director is None and scene.oriented:
         names = [type(t).__name__ for t in (*scene.constraints, *scene.forces) if t.oriented]
         must = f"hold directors for {' and '.join(names)}"

@@ -116,6 +116,7 @@ def simulate(
     """
     clock = _Clock()
     check(scene, state, overlap=overlap, single_precision=single_precision)
+    state = scene.begin(state)
     increasing("ts", ts)
     times = float_array(ts).astype(state.position.dtype)
     stepper = stepper_for(

@@ -197,6 +197,7 @@ def steady_state(
     none is found (under `jit`, which cannot raise, `converged` is false and the numbers are NaN).
     """
     check(scene, state)
+    state = scene.begin(state)
     positive("tolerance", tolerance)
     whole("max_steps", max_steps, 1)
     found = _solve(scene, state, jnp.asarray(t), moving, jnp.asarray(tolerance), max_steps)

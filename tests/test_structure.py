@@ -13,13 +13,14 @@ PACKAGE = Path(jaxbeads.__file__).parent
 
 # A module imports from earlier rows only (and, in a row, what `base` modules allow).
 ORDER = [
-    {"_typing", "_checks", "loops"},
+    {"_typing", "_checks", "loops", "programs"},
     {"factors", "iterations"},
     {"vary", "optimise", "chunks", "cache"},
     {"state", "geometry"},
     {"pairs"},
     {"tensors"},
     {"chain", "flow", "actuation", "numbers"},
+    {"frames"},
     {"mobility", "constraint", "force"},
     {"scene"},
     {"windows"},
@@ -34,7 +35,7 @@ ORDER = [
     {"__main__"},
 ]
 # What the files of a sub-package may import from one another.
-SHARED = {"solver": {"ab3"}, "force": {"base", "curvature"}, "scenes": {"case", "models"}}
+SHARED = {"solver": {"ab3", "watch"}, "force": {"base", "curvature"}, "scenes": {"case", "models"}}
 RANK = {name: rank for rank, row in enumerate(ORDER) for name in row}
 
 

@@ -12,7 +12,9 @@ from .base import AbstractFlow
 class VelocityField(AbstractFlow):
     """u = f(t, x) from a function of the time and one point, shape `(dim,)`.
 
-    Spin and rate of strain follow by differentiation. A function that is a pytree (an
+    Spin, rate of strain and what a sphere of finite radius feels of a curved field, (1 + a^2/6 lap) u,
+    follow by differentiation, so the function needs derivatives up to the third (the fourth for implicit
+    solvers). A function that is a pytree (an
     `equinox.Module`) keeps its parameters as leaves; what a plain function closes over is constant.
     """
 

@@ -37,6 +37,10 @@ class AbstractForce(eqx.Module):
         the way, but at neither end: such a step is tried again with a smaller one."""
         return jnp.zeros((), bool)
 
+    def framed(self, chain: Chain) -> bool:
+        """Whether it acts along the normals of fibres in space, see `frames`."""
+        return False
+
     def explicit_step(self, chain: Chain, viscosity: Float[Array, ""]) -> Float[Array, ""]:
         """Time step [time] that is safe for explicit solvers where this force is stiff: half of AB3's
         limit, 6/11 over the fastest rate, or less. Infinite unless a force knows better."""
@@ -56,7 +60,7 @@ class AbstractPotential(AbstractForce):
         """F = -dE/dr."""
 
         def energy(position: Array) -> Array:
-            return self.energy(t, State(position, state.director), chain)
+            return self.energy(t, State(position, state.director, state.normal), chain)
 
         return Load(force=-jax.grad(energy)(state.position))
 

@@ -20,9 +20,9 @@ from .curvature import (
     AbstractCurvatureLaw,
     CrossProductCurvature,
     Curvature,
+    along_normals,
     check_bending,
     curvature_at_rest,
-    end_to_end,
     moments,
     oriented,
     rest_at,
@@ -41,6 +41,13 @@ def _rest(intrinsic: Curvature, t: Float[Array, ""], chain: Chain) -> Array:
         return intrinsic if intrinsic.ndim else jnp.broadcast_to(intrinsic, (chain.beads - 2,))
     fibre = chain.fibre_of_bead[1:-1]
     return rest_at(intrinsic, t, chain.arclength[1:-1], chain.length[fibre])
+
+
+def _framed(intrinsic: Curvature, chain: Chain) -> bool:
+    if chain.beads < 3:
+        return False
+    fibre = chain.fibre_of_bead[1:-1]
+    return along_normals(intrinsic, chain.arclength[1:-1], chain.length[fibre])
 
 
 def _bending_step(rigidity: Array, chain: Chain, viscosity: Float[Array, ""]) -> Float[Array, ""]:
@@ -106,8 +113,8 @@ class Bending(AbstractForce):
     ) -> Float[Array, "joints spins"]:
         """Moment m_i at each inner bead [force length]; zero where fibres end."""
         e = tangents(state.position)
-        axis = end_to_end(state.position, chain)[1:-1]
-        rest = oriented(_rest(self.intrinsic_curvature, t, chain), e[:-1], e[1:], axis)
+        rest, fibre = _rest(self.intrinsic_curvature, t, chain), chain.fibre_of_bead[1:-1]
+        rest = oriented(rest, e[:-1], e[1:], state, chain, fibre)
         m = moments(self.rigidity, self.law, e[:-1], e[1:], _joint_length(chain), rest)
         return m * chain.joint_mask[:, None]
 
@@ -116,6 +123,10 @@ class Bending(AbstractForce):
         if chain.beads < 3:
             return Load()
         return Load(torque=_torques(self.moments(t, state, chain), chain))
+
+    def framed(self, chain: Chain) -> bool:
+        """Whether the curvature at rest is given along two normals."""
+        return _framed(self.intrinsic_curvature, chain)
 
     def check(self, chain: Chain, dim: int) -> None:
         """Shapes that fit the joints."""
@@ -145,6 +156,10 @@ class DrivingMoment(AbstractForce):
     def __init__(self, moment: Any) -> None:
         self.moment = curvature_at_rest(moment)
 
+    def framed(self, chain: Chain) -> bool:
+        """Whether the moment is given along two normals."""
+        return _framed(self.moment, chain)
+
     def check(self, chain: Chain, dim: int) -> None:
         """A shape that fits the joints."""
         along("DrivingMoment.moment", self.moment, max(chain.beads - 2, 0), spatial=dim == 3)
@@ -153,8 +168,8 @@ class DrivingMoment(AbstractForce):
         """Torques on the beads."""
         if chain.beads < 3:
             return Load()
-        e, axis = tangents(state.position), end_to_end(state.position, chain)[1:-1]
-        m = oriented(_rest(self.moment, t, chain), e[:-1], e[1:], axis)
+        e, fibre = tangents(state.position), chain.fibre_of_bead[1:-1]
+        m = oriented(_rest(self.moment, t, chain), e[:-1], e[1:], state, chain, fibre)
         return Load(torque=_torques(-m * chain.joint_mask[:, None], chain))
 
 

@@ -18,15 +18,20 @@ from .curvature import (
     AbstractCurvatureLaw,
     Curvature,
     SineRuleCurvature,
+    along_normals,
     check_bending,
     curvature_at_rest,
-    end_to_end,
     moments,
     oriented,
     rest_at,
 )
 
 _SINE_RULE = SineRuleCurvature()
+
+
+def _links(chain: Chain) -> tuple[Float[Array, " bonds"], Float[Array, " bonds"]]:
+    """Arclength of each joint, and the length of its fibre."""
+    return chain.arclength[:-1] + chain.reach[:-1], chain.length[chain.fibre_of_bead[:-1]]
 
 
 class JointRepulsion(eqx.Module):
@@ -116,10 +121,8 @@ class JointBending(AbstractForce):
         if isinstance(rest, jax.Array):
             rest = rest if rest.ndim else jnp.broadcast_to(rest, (len(p) - 1,))
         else:
-            link = chain.arclength[:-1] + chain.reach[:-1]
-            rest = rest_at(rest, t, link, chain.length[chain.fibre_of_bead[:-1]])
-        axis = end_to_end(state.position, chain)[:-1]
-        rest = oriented(rest, p[:-1], p[1:], axis)
+            rest = rest_at(rest, t, *_links(chain))
+        rest = oriented(rest, p[:-1], p[1:], state, chain, chain.fibre_of_bead[:-1])
         m = moments(self.rigidity, self.law, p[:-1], p[1:], chain.bond_length, rest)
         return m * chain.bond_mask[:, None]
 
@@ -146,6 +149,10 @@ class JointBending(AbstractForce):
         push = (scale[fibre[:-1]] * profile * chain.bond_mask)[:, None] * unit(d)
         force = jnp.pad(push, ((1, 0), (0, 0))) - jnp.pad(push, ((0, 1), (0, 0)))
         return Load(force, torque)
+
+    def framed(self, chain: Chain) -> bool:
+        """Whether the curvature at rest is given along two normals."""
+        return chain.beads > 1 and along_normals(self.intrinsic_curvature, *_links(chain))
 
     def check(self, chain: Chain, dim: int) -> None:
         """Shapes that fit the joints."""

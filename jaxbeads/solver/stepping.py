@@ -14,7 +14,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ..coordinates import project
+from ..coordinates import project, tidied
 from ..dynamics import rate
 from ..geometry import norm
 from ..loops import checkpointed, loop
@@ -88,8 +88,7 @@ class FixedSteps(eqx.Module):
         y, _, _, memory, result = self.solver.step(
             _TERM, start, end, carry.state, scene, carry.memory, jump
         )
-        if self.projected:
-            y = project(scene, y)
+        y = project(scene, y) if self.projected else tidied(scene, y)
         failed = result != diffrax.RESULTS.successful
         return Carry(y, carry.steps + 1, jnp.where(failed, 2, carry.code), memory)
 
@@ -190,8 +189,7 @@ class AdaptiveSteps(eqx.Module):
         keep, start, end, jump, controller, verdict = self.controller.adapt_step_size(
             t0, t1, a.state, y, scene, error, order, a.controller
         )
-        if self.projected:
-            y = project(scene, y)
+        y = project(scene, y) if self.projected else tidied(scene, y)
         keep = jnp.asarray(keep)
         # A step that was shortened says little about how long the next one may be.
         following = jnp.maximum(end - start, jnp.where(keep & shortened, wanted, 0.0))
@@ -226,8 +224,7 @@ class AdaptiveSteps(eqx.Module):
             end > start, end, start + 1
         )  # before the first step there is no interval
         y = self.solver.interpolation_cls(t0=start, t1=inside, **info).evaluate(t1)
-        if self.projected:
-            y = project(scene, y)
+        y = project(scene, y) if self.projected else tidied(scene, y)
         y = jax.tree.map(lambda y: jnp.where(code == 0, y, jnp.nan), y)
         return Carry(y, carry.steps + count, code, a)
 
