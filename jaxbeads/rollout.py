@@ -25,6 +25,7 @@ from .state import State
 Stepper = FixedSteps | AdaptiveSteps
 Tolerance = Float[Array, ""] | float
 _BOND_TOLERANCE = 0.01
+_LAW_TOLERANCE = 0.01
 
 
 class Solution(eqx.Module):
@@ -220,7 +221,7 @@ def rollout(
 
     Pure: use it under `jax.jit`, `jax.vmap` and `jax.grad` with respect to anything numeric in
     `scene`, `state` and `ts`. It cannot raise while it runs: look at `code`, which is 0 only if all
-    numbers are finite and bonds kept their lengths to 1 %. Steps that are too long show there first.
+    numbers are finite and bonds kept their lengths to 1 % (prescribed places their laws, as well). Steps that are too long show there first.
     Constraints that depend on one another give NaN. For files, progress, warnings and a check on the
     way, use `simulate`.
 
@@ -252,6 +253,8 @@ def rollout(
     errors = bond_errors(scene, lax.stop_gradient(states))
     good = jnp.all(jnp.isfinite(states.position)) & (jnp.max(errors) <= _BOND_TOLERANCE)
     code = jnp.where((carry.code == 0) & ~good, 3, carry.code)
+    lost = jnp.max(law_errors(scene, stepper, *lax.stop_gradient((ts, states))), initial=0.0)
+    code = jnp.where((code == 0) & (lost > _LAW_TOLERANCE), 5, code)
     return Solution(ts, states, carry.steps, code, bond_length_error=errors)
 
 
@@ -267,6 +270,26 @@ def bond_errors(scene: Scene, states: State) -> Float[Array, " times"]:
         return error
 
     return jax.vmap(one)(states)
+
+
+def law_errors(
+    scene: Scene, stepper: Stepper, ts: Float[Array, " times"], states: State
+) -> Float[Array, " constraints"]:
+    """How far each constraint with a law of places is off it at most, over how far the law leads; 0 for
+    others, and within what the steps' tolerance allows."""
+    start, length = (ts[0], jax.tree.map(lambda x: x[0], states)), jnp.max(scene.chain.length)
+    allowed = 1e-9 * length
+    if isinstance(stepper, AdaptiveSteps):
+        allowed = 100 * getattr(stepper.controller, "atol", 0.0) + allowed
+    errors = []
+    for constraint in scene.constraints:
+        found = jax.vmap(lambda t, s, c=constraint: c.off_law(t, s, start, scene.chain))(ts, states)
+        if found is None:
+            errors.append(jnp.zeros((), ts.dtype))
+            continue
+        off, led = (jnp.max(jnp.abs(x), initial=0.0) for x in found)
+        errors.append(jnp.maximum(off - allowed, 0.0) / jnp.maximum(led, length * 1e-9))
+    return jnp.stack(errors) if errors else jnp.zeros(0, ts.dtype)
 
 
 def diagnostics(

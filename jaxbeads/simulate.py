@@ -16,9 +16,17 @@ from jaxtyping import Array, Float
 from ._checks import described, fail, increasing, positive, whole
 from ._typing import float_array
 from .breakdown import SimulationError, bond_error, explain, locate
-from .dynamics import redundancy
+from .dynamics import named, redundancy
 from .files import TrajectoryFile, compare, load, planned_times, reopen
-from .rollout import Solution, Stepper, Tolerance, advance, diagnostics, stepper_for
+from .rollout import (
+    Solution,
+    Stepper,
+    Tolerance,
+    advance,
+    diagnostics,
+    law_errors,
+    stepper_for,
+)
 from .scene import Scene, check
 from .solver import AB3, FixedSteps, explicit_step
 from .solver.stepping import Carry
@@ -27,6 +35,9 @@ from .state import State
 RESIDUAL_TOLERANCE = 1e-3
 """Constraint residual from which on the constraints count as violated; rounding leaves 1e-14 in float64
 and 1e-6 in float32."""
+
+LAW_TOLERANCE = 1e-3
+"""How far what is prescribed may be off its law, over the law's way, before a warning."""
 
 # One compiled program for all scenes of one shape: everything numeric is an argument.
 _advance = eqx.filter_jit(advance)
@@ -196,6 +207,21 @@ def _warn_of_large_step(scene: Scene, stepper: Stepper, ts: Array) -> None:
             )
 
 
+_law_errors = eqx.filter_jit(law_errors)
+
+
+def _warn_of_laws(scene: Scene, stepper: Stepper, solution: Solution) -> None:
+    errors = np.asarray(_law_errors(scene, stepper, solution.ts, solution.states))
+    for constraint, error in zip(scene.constraints, errors, strict=True):
+        if not error <= LAW_TOLERANCE:
+            warnings.warn(
+                f"{named(constraint)} is off its law by {100 * error:.3g} % of the law's way: a law is "
+                "followed by its derivative, so it must not jump; where it has a kink, equal steps must "
+                "be small, or be chosen by `tolerance`.",
+                stacklevel=4,
+            )
+
+
 @dataclass
 class _Run:
     """The host's loop over chunks of save times."""
@@ -243,7 +269,9 @@ class _Run:
         except KeyboardInterrupt:
             status = "interrupted"
             warnings.warn(f"The run was interrupted at t = {parts[-1].ts[-1]:g}.", stacklevel=3)
-        return _join(parts, status, clock)
+        solution = _join(parts, status, clock)
+        _warn_of_laws(self.scene, self.stepper, solution)
+        return solution
 
     def advance(
         self, carry: Carry, done: int, count: int, parts: list[Solution], clock: _Clock

@@ -41,6 +41,18 @@ class AbstractConstraint(eqx.Module):
         """Index of a bead whose place it prescribes: its fibre is placed by it."""
         return None
 
+    def off_law(
+        self,
+        t: Float[Array, ""],
+        state: State,
+        start: tuple[Float[Array, ""], State],
+        chain: Chain,
+    ) -> tuple[Array, Array] | None:
+        """How far what it prescribes is from where its law leads from the start (a time and a state), and
+        how far the law leads, vectors of any number [length]. `None` if it has no law of places. Only a
+        law's derivative is enforced: where the law jumps, nobody follows."""
+        return None
+
     def check(self, chain: Chain, dim: int) -> None:
         """Refuse a chain or a dimension that the constraint cannot serve, in one sentence."""
 

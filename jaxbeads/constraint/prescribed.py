@@ -25,6 +25,10 @@ from .base import AbstractConstraint
 Law = Callable[[Array], Array]
 
 
+_ALONG = 1e-6
+"""Distance of a bond's direction from its law up to which it counts as the same."""
+
+
 def _law(function: Any) -> Any:
     return None if function is None else leaf_function(function)
 
@@ -66,6 +70,19 @@ class PrescribedPosition(AbstractConstraint):
         """Velocity of the bead minus that of the law [length/time], `(dim,)`."""
         velocity = motion.velocity[self.bead]
         return velocity if self.law is None else velocity - _rate(self.law, t)
+
+    def off_law(
+        self,
+        t: Float[Array, ""],
+        state: State,
+        start: tuple[Float[Array, ""], State],
+        chain: Chain,
+    ) -> tuple[Array, Array] | None:
+        """Its way minus that of the law, and that of the law."""
+        if self.law is None:
+            return None
+        led = self.law(t) - self.law(start[0])
+        return state.position[self.bead] - start[1].position[self.bead] - led, led
 
 
 class PrescribedSpin(AbstractConstraint):
@@ -132,6 +149,23 @@ class PrescribedDirection(AbstractConstraint):
             turning = turning - norm(d) * _rate(self.law, t)
         return normals(e) @ turning
 
+    def off_law(
+        self,
+        t: Float[Array, ""],
+        state: State,
+        start: tuple[Float[Array, ""], State],
+        chain: Chain,
+    ) -> tuple[Array, Array] | None:
+        """The way of the bond's end about its beginning minus that of the law, and that of the law, if
+        the bond started along it."""
+        if self.law is None:
+            return None
+        (before, then), length = start, chain.bond_length[self.bond]
+        now, first = (tangents(s.position)[self.bond] for s in (state, then))
+        along = norm(first - self.law(before)) < _ALONG
+        led = self.law(t) - self.law(before)
+        return jnp.where(along, length, 0.0) * (now - first - led), length * led
+
 
 class PrescribedLengths(AbstractConstraint):
     """Bonds that lengthen and shorten as l(t): linked spheres, as the Najafi-Golestanian swimmer.
@@ -153,6 +187,18 @@ class PrescribedLengths(AbstractConstraint):
         """Rate of each bond's length minus the law's [length/time], of the bonds that exist."""
         stretching = (tangents(state.position) * bonds(motion.velocity)).sum(axis=1)
         return (stretching - _rate(self.law, t))[chain.bond_mask]
+
+    def off_law(
+        self,
+        t: Float[Array, ""],
+        state: State,
+        start: tuple[Float[Array, ""], State],
+        chain: Chain,
+    ) -> tuple[Array, Array] | None:
+        """What the bonds have lengthened minus what the law has, and what the law has."""
+        now, first = (norm(bonds(s.position)) for s in (state, start[1]))
+        led = (self.law(t) - self.law(start[0])) * chain.bond_mask
+        return (now - first) * chain.bond_mask - led, led
 
 
 def clamped(end: int = 0, *, spinless: bool = False) -> tuple[AbstractConstraint, ...]:

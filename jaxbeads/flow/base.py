@@ -53,7 +53,7 @@ def velocity_and_gradient(
     flow: AbstractFlow,
     t: Float[Array, ""],
     position: Float[Array, "beads dim"],
-    radius: Float[Array, "*beads"],
+    radius: Float[Array, ""] | Float[Array, " beads"],
 ) -> tuple[Float[Array, "beads dim"], Float[Array, "*beads dim dim"]]:
     """Velocity and its gradient as a sphere at each bead feels them: means over its surface,
 

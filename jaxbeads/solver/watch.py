@@ -24,6 +24,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
+from ..geometry import norm
 from ..programs import reached, switches
 from ..scene import Scene
 from ..state import Load, State, zero_motion
@@ -115,8 +116,9 @@ class Watch(NamedTuple):
         missed = []
         for row in rows:
             flat = row.reshape(len(times), -1)
-            guess = jnp.asarray(_MATRIX, flat.dtype) @ flat[::_EVERY]
-            missed.append(jnp.max(jnp.abs(flat - guess), axis=1))
+            off = flat - jnp.asarray(_MATRIX, flat.dtype) @ flat[::_EVERY]
+            lengths = norm(off.reshape(len(times), -1, row.shape[-1]))
+            missed.append(jnp.max(lengths, axis=1, initial=0.0))
         return (t1 - t0) * jnp.mean(sum(missed[1:], missed[0]))
 
     def passed(
@@ -125,7 +127,7 @@ class Watch(NamedTuple):
         """Whether the step from t0 to t1 leads past something that acts at none of its ends."""
         scene, found = self.scene, jnp.zeros((), bool)
         if self.placed is not None:
-            moved = jnp.max(jnp.abs(end.position - self.state.position))
+            moved = jnp.max(norm(end.position - self.state.position))
             found = found | (moved > _SAMPLES * jnp.min(scene.chain.radius))
         middle = None
         for force in scene.forces:
