@@ -189,7 +189,7 @@ def _answer(t: Time, state: State, scene: Scene) -> Array:
     return system.multipliers(system.constraints.slip(moved))
 
 
-def _named(constraint: AbstractConstraint) -> str:
+def named(constraint: AbstractConstraint) -> str:
     """Its name, with the bead or bond that it is about."""
     about = (f"{x}={getattr(constraint, x)}" for x in ("bead", "bond") if hasattr(constraint, x))
     where = ", ".join(about)
@@ -212,7 +212,7 @@ def redundancy(t: Time, state: State, scene: Scene) -> str | None:
     if not scene.mobility.is_dense(scene.chain.beads):
         if np.all(np.isfinite(_answer(jnp.asarray(t), state, scene))):
             return None
-        names = " + ".join(map(_named, scene.constraints))
+        names = " + ".join(map(named, scene.constraints))
         return f"{names} depend on one another: iterations do not converge"
     matrix = np.asarray(constraint_matrix(t, state, scene))
     if not np.all(np.isfinite(matrix)):
@@ -229,7 +229,7 @@ def redundancy(t: Time, state: State, scene: Scene) -> str | None:
     sizes = [np.size(c.slip(time, state, still, scene.chain)) for c in scene.constraints]
     parts = np.split(np.abs(null).max(axis=1), np.cumsum(sizes)[:-1])
     names = [
-        _named(c)
+        named(c)
         for c, part in zip(scene.constraints, parts, strict=True)
         if part.max(initial=0.0) > 1e-6 * np.abs(null).max()
     ]
