@@ -5,6 +5,7 @@ Functions of positions take any leading axes (times); pass `solution.states.posi
 
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -166,10 +167,16 @@ def rigid_resistance(
     The 6 x 6 matrix (3 x 3 in the plane) that maps (velocity, spin) to (force, torque): K^T M^-1 K,
     where K gives each bead the body's velocity and spin.
     """
-    position = jnp.asarray(position)
+    return _resistance(jnp.asarray(position), chain, jnp.asarray(viscosity, float), mobility)
+
+
+@eqx.filter_jit
+def _resistance(
+    position: Array, chain: Chain, viscosity: Array, mobility: AbstractMobility
+) -> Array:
     beads, dim = position.shape
     turns = spins(dim)
-    operator = mobility.operator(position, chain.radius, jnp.asarray(viscosity, float), True)
+    operator = mobility.operator(position, chain.radius, viscosity, True)
 
     def column(unit: Array) -> Array:
         moved = operator.motion(Load(unit[:, :dim], unit[:, dim:]))

@@ -248,6 +248,14 @@ def rollout(
     state = scene.begin(state)
     ts = float_array(ts).astype(state.position.dtype)
     stepper = stepper_for(scene, ts, solver, substeps, controller, tolerance, projected, max_steps)
+    return _trajectory(stepper, scene, state, ts)
+
+
+@eqx.filter_jit
+def _trajectory(
+    stepper: Stepper, scene: Scene, state: State, ts: Float[Array, " times"]
+) -> Solution:
+    """The core of `rollout`: one compiled program for all scenes of one shape."""
     carry, states = advance(stepper, scene, stepper.init(scene, state, ts[0], ts[1]), ts)
     states = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), state, states)
     errors = bond_errors(scene, lax.stop_gradient(states))

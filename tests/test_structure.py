@@ -26,7 +26,7 @@ ORDER = [
     {"windows"},
     {"coordinates", "saddle"},
     {"dynamics"},
-    {"linearise", "observables"},
+    {"linearise", "observables", "faults"},
     {"solver", "steady"},
     {"rollout"},
     {"breakdown", "files", "objectives", "periodic"},

@@ -100,6 +100,8 @@ class Rosenbrock(diffrax.AbstractAdaptiveSolver):
 
     term_structure: ClassVar = diffrax.AbstractTerm
     interpolation_cls: ClassVar[Callable[..., Any]] = _Interpolation
+    hopeless: ClassVar[Any] = diffrax.RESULTS.singular
+    """The result where the linearisation at the start of a step is not finite: none smaller mends it."""
 
     def order(self, terms: PyTree) -> int:
         """4."""
@@ -154,7 +156,9 @@ class Rosenbrock(diffrax.AbstractAdaptiveSolver):
         error = jax.tree.map(lambda a, b: a - b, y1, other)
         bend = jnp.asarray(_DENSE, x0.dtype) @ us
         dense = {"coordinates": chart, "x1": x1, "bend": bend}
-        return y1, error, dense, None, diffrax.RESULTS.successful
+        finite = jnp.array([jnp.all(jnp.isfinite(part)) for part in about])
+        result = diffrax.RESULTS.where(jnp.all(finite), diffrax.RESULTS.successful, self.hopeless)
+        return y1, error, dense, None, result
 
     def func(self, terms: Any, t0: Any, y0: State, args: Scene) -> State:
         """The right-hand side."""

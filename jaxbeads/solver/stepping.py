@@ -203,6 +203,8 @@ class AdaptiveSteps(eqx.Module):
         dense = pick((t0, t1, dense), a.dense)
         # The step has shrunk until it no longer moves the time: nothing helps.
         stuck = (end <= start) | (verdict != diffrax.RESULTS.successful)
+        if (hopeless := getattr(self.solver, "hopeless", None)) is not None:
+            stuck = stuck | (result == hopeless)
         after = _Adaptive(
             start,
             end,
