@@ -14,13 +14,14 @@ PACKAGE = Path(jaxbeads.__file__).parent
 # A module imports from earlier rows only (and, in a row, what `base` modules allow).
 ORDER = [
     {"_typing", "_checks", "loops"},
+    {"_functions"},
     {"factors", "iterations"},
     {"vary", "optimise", "chunks", "cache"},
     {"state", "geometry"},
     {"pairs"},
     {"tensors"},
     {"chain", "flow", "actuation", "numbers"},
-    {"mobility", "constraint", "force"},
+    {"mobility", "constraint", "force", "coincidence"},
     {"scene"},
     {"windows"},
     {"coordinates", "saddle"},

@@ -29,6 +29,8 @@ class AbstractConstraint(eqx.Module):
     """Whether `slip` reads spins."""
     oriented: ClassVar[bool] = False
     """Whether `slip` reads directors."""
+    links: ClassVar[bool] = False
+    """Whether it keeps neighbours together."""
 
     @abc.abstractmethod
     def slip(self, t: Float[Array, ""], state: State, motion: Motion, chain: Chain) -> Array:
@@ -49,6 +51,8 @@ class AbstractChainConstraint(AbstractConstraint):
     It knows a direct way to S = J M J^T (any other constraint's is built by columns), and what its
     rows keep when integrated exactly, so that the drift of time stepping can be measured and removed.
     """
+
+    links: ClassVar[bool] = True
 
     @abc.abstractmethod
     def assemble(

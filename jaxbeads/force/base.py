@@ -19,6 +19,8 @@ class AbstractForce(eqx.Module):
     """Whether the load holds torques."""
     oriented: ClassVar[bool] = False
     """Whether the load depends on directors."""
+    links: ClassVar[bool] = False
+    """Whether it keeps neighbours together, as springs do."""
 
     @abc.abstractmethod
     def load(self, t: Float[Array, ""], state: State, chain: Chain) -> Load:

@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._checks import fail, finite, non_negative
-from .._typing import float_array, leaf_function
+from .._functions import curvature_of, leaf_function
+from .._typing import float_array
 from ..chain import Chain
 from ..geometry import cross, turned, unit
 
@@ -83,14 +84,24 @@ def check_bending(rigidity: Array, intrinsic: Curvature, spatial: bool) -> None:
 
 
 def rest_at(
+    name: str,
     intrinsic: Curvature,
     t: Float[Array, ""],
     arclength: Float[Array, " joints"],
     length: Float[Array, " joints"],
+    dim: int,
 ) -> Array:
-    """Curvature at rest at one instant, `(joints,)`, `(joints, 2)` or `(joints, 3)`."""
-    value = intrinsic(t, arclength, length) if callable(intrinsic) else intrinsic
-    return value if value.ndim else jnp.broadcast_to(value, arclength.shape)
+    """Curvature at rest at one instant, `(joints,)`, in space also `(joints, 2)` or `(joints, 3)`; its
+    name, for what a function has wrong."""
+    if not isinstance(intrinsic, jax.Array):
+        return curvature_of(name, intrinsic, t, arclength, length, dim)
+    return intrinsic if intrinsic.ndim else jnp.broadcast_to(intrinsic, arclength.shape)
+
+
+def stiffest(rigidity: Array, mask: np.ndarray) -> Array:
+    """The largest rigidity (or stiffness) where `mask` has a joint (or bond); 0 if there is none."""
+    each = jnp.broadcast_to(rigidity, mask.shape)
+    return jnp.max(each, where=mask, initial=0.0)
 
 
 def moments(
