@@ -57,6 +57,8 @@ def value_of(
     try:
         value = function(*arguments)
     except Exception as error:
+        if isinstance(error, ValueError) and str(error).startswith("Argument `"):
+            raise  # of a function that this one calls
         fail(name, f"be a function that can be called with {given}", _raised(error))
     value = _array(name, value)
     shape(name, value, *shapes)
@@ -146,4 +148,5 @@ def _leaves(value: Any) -> list[Any]:
 def _unfit(value: Any) -> str:
     if isinstance(value, (list, tuple)):
         return f"{described(value)} of parts that do not fit together"
-    return f"{described(value)} of type {getattr(value, 'dtype', '')}".removesuffix(" of type ")
+    kind = getattr(value, "dtype", None)
+    return described(value) if kind is None else f"an array of type {kind}"

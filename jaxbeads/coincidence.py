@@ -60,7 +60,8 @@ def _said(chain: Chain, place: np.ndarray, one: int, other: int) -> str:
 def _places(state: State, chain: Chain, oriented: bool) -> np.ndarray:
     """A number for each bead, the same for those of one size whose distance is rounding."""
     position = np.asarray(state.position, float)
-    radii = np.asarray(chain.radii, float)
+    # By numpy alone: within `jit` what JAX makes of known numbers is not known.
+    radii = np.broadcast_to(np.asarray(chain.radius, float), len(position))
     columns = [position, radii[:, None]]
     if oriented and state.director is not None:
         p = np.asarray(state.director, float)

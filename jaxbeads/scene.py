@@ -131,7 +131,7 @@ def check(
         if how is not None:
             fail("state", "hold no bond in the place of another", how)
     if not overlap and numbers and beads > 1:
-        radii = np.asarray(chain.radii)
+        radii = np.broadcast_to(np.asarray(chain.radius), beads)
         gap, i, j = smallest_gap(np.asarray(position), radii)
         if gap < -0.01 * radii.min():
             must = "hold no overlapping beads in this scene"
