@@ -8,6 +8,7 @@ import re
 from collections.abc import Callable
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,16 +25,30 @@ _NUMBERS = jax.Array, np.ndarray, np.generic, int, float, complex
 Shape = tuple[int, ...]
 
 
+class Parts(eqx.Module):
+    """A function, as a neural network, with leaves that are no numbers, as its activation: these become
+    part of the structure. The leaves are those of `numbers`."""
+
+    numbers: Any
+    others: Any = eqx.field(static=True)
+
+    def __call__(self, *arguments: Any) -> Any:
+        """The function's value."""
+        return eqx.combine(self.numbers, self.others)(*arguments)
+
+
 def leaf_function(function: Any, name: str = "function") -> Any:
     """Make a plain function a pytree without leaves, so that a module that holds it can be jitted.
 
     Callables that are pytrees already (an `equinox.Module`, a `jax.tree_util.Partial`) stay as they
-    are, with their leaves. **Raises** `ValueError` for what cannot be called, by its name.
+    are, with their leaves, if these are numbers (otherwise see `Parts`). **Raises** `ValueError` for
+    what cannot be called, by its name.
     """
     if not callable(function):
         fail(name, "be a function", f"it is {described(function)}")
     if jax.tree.structure(function) != jax.tree.structure(0):
-        return function
+        numbers, others = eqx.partition(function, eqx.is_array_like)
+        return Parts(numbers, others) if jax.tree.leaves(others) else function
     try:
         hash(function)
     except TypeError:
@@ -78,10 +93,18 @@ def rate_of(name: str, law: Callable[..., Any], t: Array, size: Shape, dtype: An
     return jax.jvp(lambda t: law_of(name, law, t, size, dtype), (t,), (one,))[1]
 
 
+def trial(function: Callable[..., Any], *arguments: Any) -> None:
+    """Call a function for shapes alone, so that what is wrong with it is said before anything runs."""
+    try:
+        jax.eval_shape(function, *arguments)
+    except ValueError as error:  # without the notes of tracing
+        raise ValueError(str(error)) from error.__context__
+
+
 def check_law(name: str, law: Callable[..., Any] | None, size: Shape, dtype: Any) -> None:
     """A function of the time with a derivative, whose value has this shape, or `None`."""
     if law is not None:
-        jax.eval_shape(lambda t: rate_of(name, law, t, size, dtype), jnp.zeros((), dtype))
+        trial(lambda t: rate_of(name, law, t, size, dtype), jnp.zeros((), dtype))
 
 
 def curvature_of(
@@ -101,7 +124,7 @@ def along(name: str, value: Any, joints: int, dim: int, dtype: Any) -> None:
     where `dim` is 3."""
     if callable(value):
         t, s = jnp.zeros((), dtype), jnp.zeros(joints, dtype)
-        jax.eval_shape(lambda t, s: curvature_of(name, value, t, s, s, dim), t, s)
+        trial(lambda t, s: curvature_of(name, value, t, s, s, dim), t, s)
     else:
         vectors = ((joints, 2), (joints, 3)) if dim == 3 else ()
         shape(name, value, (), (joints,), *vectors)

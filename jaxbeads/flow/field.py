@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._functions import leaf_function, value_of
+from .._functions import leaf_function, trial, value_of
 from .base import AbstractFlow
 
 
@@ -23,7 +23,7 @@ class VelocityField(AbstractFlow):
     def check(self, dim: int) -> None:
         """A velocity of the scene's dimension, with derivatives."""
         t, x = jnp.zeros(()), jnp.zeros(dim)
-        jax.eval_shape(jax.jacfwd(self.velocity, argnums=1), t, x)
+        trial(jax.jacfwd(self.velocity, argnums=1), t, x)
 
     def velocity(self, t: Float[Array, ""], x: Float[Array, " dim"]) -> Float[Array, " dim"]:
         """The function's value."""

@@ -4,11 +4,10 @@ from collections.abc import Callable
 from typing import ClassVar
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._functions import leaf_function, value_of
+from .._functions import leaf_function, trial, value_of
 from ..chain import Chain
 from ..state import Load, State
 from .base import AbstractForce, AbstractPotential
@@ -61,4 +60,4 @@ def _value(
 
 def _check(field: ForceField | Potential, chain: Chain, dim: int) -> None:
     t, r = (jnp.zeros(shape, chain.radius.dtype) for shape in ((), (chain.beads, dim)))
-    jax.eval_shape(lambda t, r: field.load(t, State(r), chain), t, r)
+    trial(lambda t, r: field.load(t, State(r), chain), t, r)
