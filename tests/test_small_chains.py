@@ -190,7 +190,7 @@ def test_they_run(fibres, dim, stiff, options):
     terms = [Weight(-6 * np.pi * np.eye(dim)[1]), *[Bending(np.zeros(joints))] * stiff]
     scene = Scene(chain, 1.0, FreeDraining(), [Gears()], terms)
     solution = simulate(scene, state, np.linspace(0, 0.2, 3), progress=False, **options)
-    fallen = state.position - 0.2 * np.eye(dim)[1]
+    fallen = np.asarray(state.position) - 0.2 * np.eye(dim)[1]
     # A fibre falls like its beads, which feel nothing of one another.
     np.testing.assert_allclose(solution.final.position, fallen, atol=1e-9)
     assert solution.bond_length_error.max() < 1e-12
