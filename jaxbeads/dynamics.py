@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .chain import Chain
+from .coincidence import coincidence
 from .constraint import AbstractConstraint
 from .factors import symmetric
 from .flow import AbstractFlow
@@ -204,7 +205,9 @@ def redundancy(t: Time, state: State, scene: Scene) -> str | None:
     """Whether the constraints depend on one another at this instant, and which of them.
 
     Looks at the null vectors of S, each of them a combination of rows that demands nothing new. If the
-    velocities that these rows prescribe do not agree either, no motion meets them.
+    velocities that these rows prescribe do not agree either, no motion meets them. Where the constraints
+    are independent (J has no null vector) and S is singular all the same, it is since beads in one place
+    move as one; then it says which.
 
     Where the mobility is not dense there are too many for eigenvalues: then iterations that do not
     converge tell that some depend on one another, but not which.
@@ -216,9 +219,13 @@ def redundancy(t: Time, state: State, scene: Scene) -> str | None:
     if not scene.mobility.is_dense(scene.chain.beads):
         if np.all(np.isfinite(_answer(jnp.asarray(t), state, scene))):
             return None
+        if (how := _together(state, scene)) is not None:
+            return how
         names = " + ".join(map(named, scene.constraints))
         return f"{names} depend on one another: iterations do not converge"
     matrix = np.asarray(constraint_matrix(t, state, scene))
+    if matrix.size == 0:  # as one bead under `Gears`
+        return None
     if not np.all(np.isfinite(matrix)):
         return "the matrix J M J^T is not finite"
     scale = np.sqrt(np.abs(np.diagonal(matrix)))
@@ -229,6 +236,8 @@ def redundancy(t: Time, state: State, scene: Scene) -> str | None:
         return None
     null = null / scale[:, None]
     time = jnp.asarray(t)
+    if (how := _together(state, scene)) is not None and _pushes(time, state, scene, null):
+        return how
     still = zero_motion(state, scene.rotational)
     sizes = [np.size(c.slip(time, state, still, scene.chain)) for c in scene.constraints]
     parts = np.split(np.abs(null).max(axis=1), np.cumsum(sizes)[:-1])
@@ -243,6 +252,32 @@ def redundancy(t: Time, state: State, scene: Scene) -> str | None:
     verb = "depends" if null.shape[1] == 1 else "depend"
     how = "contradict one another" if clash else "are redundant"
     return f"{' + '.join(names)} {how}: {null.shape[1]} of their rows {verb} on the others"
+
+
+def _together(state: State, scene: Scene) -> str | None:
+    """Beads in one place, in words, if the mobility moves them as one."""
+    if not scene.mobility.interacting:
+        return None
+    return coincidence(state, scene.chain, oriented=scene.oriented)
+
+
+def _pushes(t: Array, state: State, scene: Scene, null: np.ndarray) -> bool:
+    """Whether some multipliers, one in each column, add up to loads: not if rows are dependent."""
+    pull, count = constraint_map(t, state, scene).pull, len(null)
+
+    def squares(multipliers: np.ndarray) -> np.ndarray:
+        """Sum of the squares of forces, and of torques over radii, for each column."""
+        loads = jax.vmap(pull, in_axes=1)(jnp.asarray(multipliers))
+        sums = np.zeros(multipliers.shape[1])
+        if loads.force is not None:
+            sums += np.sum(np.square(loads.force), axis=(1, 2))
+        if loads.torque is not None:
+            arm = np.asarray(scene.chain.radii)[None, :, None]
+            sums += np.sum(np.square(np.asarray(loads.torque) / arm), axis=(1, 2))
+        return sums
+
+    alone = squares(np.eye(count, dtype=null.dtype)) @ null**2
+    return bool(np.any(squares(null) > 1e-8 * alone))
 
 
 def constraint_residual(t: Time, state: State, scene: Scene) -> Float[Array, ""]:

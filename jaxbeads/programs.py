@@ -1,7 +1,7 @@
 """What the program of a function shows: which results depend on an argument, and where it switches.
 
-A function of the time that a user writes may jump: `jnp.where(t > 10, ...)`, `jnp.floor(t)`, a table read
-by `jnp.interp`. Nothing at two times tells what happens between them, but JAX's program of the function
+A user's function of the time may jump: `jnp.where(t > 10, ...)`, `jnp.floor(t)`, a table read by
+`jnp.interp`. Nothing at two times tells what happens between them, but JAX's program of the function
 names every decision that it takes. Their values at any time are the function's `switches`: where one of
 them differs, the function has passed from one smooth piece to another.
 """

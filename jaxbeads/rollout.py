@@ -221,9 +221,9 @@ def rollout(
 
     Pure: use it under `jax.jit`, `jax.vmap` and `jax.grad` with respect to anything numeric in
     `scene`, `state` and `ts`. It cannot raise while it runs: look at `code`, which is 0 only if all
-    numbers are finite and bonds kept their lengths to 1 % (prescribed places their laws, as well). Steps that are too long show there first.
-    Constraints that depend on one another give NaN. For files, progress, warnings and a check on the
-    way, use `simulate`.
+    numbers are finite, bonds kept their lengths to 1 %, and prescribed places their laws. Steps that are
+    too long show there first. Constraints that depend on one another give NaN. For files, progress,
+    warnings and a check on the way, use `simulate`.
 
     **Arguments**
 

@@ -1,5 +1,6 @@
 """`Scene`: the model, all parameters and terms; `check`: whether a state fits it."""
 
+import warnings
 from collections.abc import Iterable
 from typing import Any
 
@@ -7,20 +8,19 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from ._checks import described, fail, finite, kind, known, positive, shape
 from ._typing import float_array
 from .chain import Chain
+from .coincidence import overlaid
 from .constraint import AbstractConstraint, Joint
 from .flow import AbstractFlow
-from .force import AbstractForce, Bending, JointBending
+from .force import AbstractForce, Bending, BendingEnergy, JointBending
 from .frames import framed
 from .geometry import norm, smallest_gap
 from .mobility import RPY, AbstractMobility
 from .state import State
-
 
 _UNIT = 0.01
 """How far the length of a director may be off one."""
@@ -100,7 +100,8 @@ def check(
     - `overlap`: whether beads may overlap by more than 1 % of a radius.
     - `single_precision`: whether float32 is meant.
 
-    **Raises** `ValueError`. Values that are being traced are not looked at.
+    **Raises** `ValueError`. Warns of fibres with elastic bending that no term holds together. Values
+    that are being traced are not looked at.
     """
     kind("scene", scene, Scene)
     kind("state", state, State)
@@ -144,10 +145,35 @@ def check(
             fail("scene.constraints", "hold Joint beside JointBending", "it does not")
     if scene.flow is not None:
         scene.flow.check(dim)
-    tracers = any(isinstance(x, Tracer) for x in (position, chain.radius))
-    if not overlap and not tracers and beads > 1:
-        radii = np.asarray(chain.radii)
+    _warn_of_loose_fibres(scene)
+    numbers = known((state, chain))
+    if numbers and scene.mobility.interacting and any(c.links for c in scene.constraints):
+        how = overlaid(state, chain, oriented=scene.oriented)
+        if how is not None:
+            fail("state", "hold no bond in the place of another", how)
+    if not overlap and numbers and beads > 1:
+        radii = np.broadcast_to(np.asarray(chain.radius), beads)
         gap, i, j = smallest_gap(np.asarray(position), radii)
         if gap < -0.01 * radii.min():
             must = "hold no overlapping beads in this scene"
             fail("state", must, f"beads {i} and {j} overlap by {-gap:.3g}")
+
+
+def _warn_of_loose_fibres(scene: Scene) -> None:
+    """Bending holds angles, not distances."""
+    chain = scene.chain
+    if not chain.joint_mask.any() or any(t.links for t in (*scene.constraints, *scene.forces)):
+        return
+    for force in scene.forces:
+        if not isinstance(force, (Bending, BendingEnergy)):
+            continue
+        if known(force.rigidity) and not np.any(np.asarray(force.rigidity)):
+            continue
+        warnings.warn(
+            f"{type(force).__name__} bends fibres whose beads nothing holds together: add a chain "
+            "constraint (`Gears`, `Inextensible`), `PrescribedLengths` or `Spring`; a term of your own "
+            "that does it says so by `links = True` in its class (`links=True` in `Potential` and "
+            "`ForceField`).",
+            stacklevel=4,
+        )
+        return

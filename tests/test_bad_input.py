@@ -419,7 +419,7 @@ DRIVES = {
     "helix of 3 beads": (lambda: scenes.spiral(3), "`beads` must be at least 4, but it is 3"),
     "worms at no distance": (lambda: scenes.nematode_pair(8, 0.0), "`distance` must be positive"),
     "NaN follower force": (lambda: scenes.follower_force(8, NAN), "`force` must be finite"),
-    "a number as law": (lambda: PrescribedPosition(1.0), "`function` must be a function"),
+    "a number as law": (lambda: PrescribedPosition(1.0), "`law` must be a function"),
     "waves of one amplitude too many": (
         lambda: run_force(Bending(1.0, TravellingWave(np.ones(4), 1.0, 1.0))),
         "`Bending.intrinsic_curvature` must be a function that can be called with 3 joints, but",

@@ -123,7 +123,10 @@ LAW = HelicalBeat(0.3, 1.7)
 WAVES = TwoPlanes(TravellingWave(0.2, 0.4, 1.5, 0.3), TravellingWave(0.1, 0.4, 1.5, 1.3))
 MODELS = {
     f"force {index} {name(force)}": Scene(
-        CHAIN, 0.8, constraints=[] if name(force) == "Spring" else [Gears()], forces=[in_space(force)]
+        CHAIN,
+        0.8,
+        constraints=[] if name(force) == "Spring" else [Gears()],
+        forces=[in_space(force)],
     )
     for index, force in enumerate(FORCES)
 }
@@ -145,7 +148,9 @@ MODELS |= {
 MODELS |= {
     "distances": Scene(CHAIN, 0.8, constraints=[Inextensible()], forces=[Weight([0.1, -0.4, 0.2])]),
     "lengths": Scene(
-        CHAIN, 0.8, constraints=[PrescribedLengths(lambda t: 2 + 0.1 * jnp.sin(t + jnp.arange(6.0)))]
+        CHAIN,
+        0.8,
+        constraints=[PrescribedLengths(lambda t: 2 + 0.1 * jnp.sin(t + jnp.arange(6.0)))],
     ),
     "joints": Scene(
         Chain(1.0, 7, gap=0.1),

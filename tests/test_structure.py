@@ -14,6 +14,7 @@ PACKAGE = Path(jaxbeads.__file__).parent
 # A module imports from earlier rows only (and, in a row, what `base` modules allow).
 ORDER = [
     {"_typing", "_checks", "loops", "programs"},
+    {"_functions"},
     {"factors", "iterations"},
     {"vary", "optimise", "chunks", "cache"},
     {"state", "geometry"},
@@ -21,7 +22,7 @@ ORDER = [
     {"tensors"},
     {"chain", "flow", "actuation", "numbers"},
     {"frames"},
-    {"mobility", "constraint", "force"},
+    {"mobility", "constraint", "force", "coincidence"},
     {"scene"},
     {"windows"},
     {"coordinates", "saddle"},

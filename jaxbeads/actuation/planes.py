@@ -6,7 +6,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._typing import leaf_function
+from .._functions import curvature_of, leaf_function
 from .base import AbstractCurvature
 
 Planar = Callable[[Array, Array, Array], Array]
@@ -31,8 +31,8 @@ class TwoPlanes(AbstractCurvature):
     second: Planar
 
     def __init__(self, first: Any, second: Any) -> None:
-        self.first = leaf_function(first)
-        self.second = leaf_function(second)
+        self.first = leaf_function(first, "first")
+        self.second = leaf_function(second, "second")
 
     def __call__(
         self,
@@ -41,6 +41,6 @@ class TwoPlanes(AbstractCurvature):
         length: Float[Array, " joints"],
     ) -> Float[Array, "joints 2"]:
         """Curvature in each plane at each joint [1/length]."""
-        return jnp.stack(
-            [kappa(t, arclength, length) for kappa in (self.first, self.second)], axis=1
-        )
+        planes = {"TwoPlanes.first": self.first, "TwoPlanes.second": self.second}
+        planar = [curvature_of(n, f, t, arclength, length, 2) for n, f in planes.items()]
+        return jnp.stack(planar, axis=1)

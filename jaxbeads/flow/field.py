@@ -3,9 +3,11 @@
 from collections.abc import Callable
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._typing import leaf_function
+from .._functions import leaf_function, trial, value_of
 from .base import AbstractFlow
 
 
@@ -20,6 +22,13 @@ class VelocityField(AbstractFlow):
 
     function: Callable[[Array, Array], Array] = eqx.field(converter=leaf_function)
 
+    def check(self, dim: int) -> None:
+        """A velocity of the scene's dimension, with derivatives."""
+        t, x = jnp.zeros(()), jnp.zeros(dim)
+        trial(jax.jacfwd(self.velocity, argnums=1), t, x)
+
     def velocity(self, t: Float[Array, ""], x: Float[Array, " dim"]) -> Float[Array, " dim"]:
         """The function's value."""
-        return self.function(t, x)
+        name, given = "VelocityField.function", "a time and a point"
+        arguments = jnp.asarray(t, x.dtype), x
+        return value_of(name, given, self.function, *arguments, shapes=(x.shape,), dtype=x.dtype)

@@ -24,6 +24,8 @@ class AbstractForce(eqx.Module):
     depend on the fibre's shape). Adaptive steps look along their path for what others do."""
     passes: ClassVar[bool] = False
     """Whether `passed` has something to say."""
+    links: ClassVar[bool] = False
+    """Whether it keeps neighbours together, as springs do."""
 
     @abc.abstractmethod
     def load(self, t: Float[Array, ""], state: State, chain: Chain) -> Load:

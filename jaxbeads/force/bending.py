@@ -10,7 +10,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._checks import along, kind, shape
+from .._checks import kind, shape
+from .._functions import along
 from .._typing import float_array
 from ..chain import Chain
 from ..geometry import tangents, turning_angles
@@ -26,6 +27,7 @@ from .curvature import (
     moments,
     oriented,
     rest_at,
+    stiffest,
 )
 
 _DEFAULT_LAW = CrossProductCurvature()
@@ -36,11 +38,11 @@ def _joint_length(chain: Chain) -> Float[Array, " joints"]:
     return 0.5 * (bond[1:] + bond[:-1])
 
 
-def _rest(intrinsic: Curvature, t: Float[Array, ""], chain: Chain) -> Array:
-    if isinstance(intrinsic, jax.Array):  # no time, no arclength
-        return intrinsic if intrinsic.ndim else jnp.broadcast_to(intrinsic, (chain.beads - 2,))
+def _rest(name: str, intrinsic: Curvature, t: Float[Array, ""], chain: Chain, dim: int) -> Array:
     fibre = chain.fibre_of_bead[1:-1]
-    return rest_at(intrinsic, t, chain.arclength[1:-1], chain.length[fibre])
+    if isinstance(intrinsic, jax.Array):  # no time, no arclength
+        return intrinsic if intrinsic.ndim else jnp.broadcast_to(intrinsic, fibre.shape)
+    return rest_at(name, intrinsic, t, chain.arclength[1:-1], chain.length[fibre], dim)
 
 
 def _framed(intrinsic: Curvature, chain: Chain) -> bool:
@@ -51,10 +53,10 @@ def _framed(intrinsic: Curvature, chain: Chain) -> bool:
 
 
 def _bending_step(rigidity: Array, chain: Chain, viscosity: Float[Array, ""]) -> Float[Array, ""]:
-    """mu l^4 / K_b, l = 2 (a + eps_g), eq. (39)."""
-    stiffest = jnp.max(rigidity)
+    """mu l^4 / K_b, l = 2 (a + eps_g), eq. (39); infinite without a joint."""
+    most = stiffest(rigidity, chain.joint_mask)
     step = viscosity * (2 * jnp.min(chain.radius + chain.gap)) ** 4
-    return jnp.where(stiffest == 0, jnp.inf, step / jnp.where(stiffest == 0, 1.0, stiffest))
+    return jnp.where(most == 0, jnp.inf, step / jnp.where(most == 0, 1.0, most))
 
 
 def _torques(moments: Float[Array, "joints spins"], chain: Chain) -> Float[Array, "beads spins"]:
@@ -112,9 +114,10 @@ class Bending(AbstractForce):
         self, t: Float[Array, ""], state: State, chain: Chain
     ) -> Float[Array, "joints spins"]:
         """Moment m_i at each inner bead [force length]; zero where fibres end."""
-        e = tangents(state.position)
-        rest, fibre = _rest(self.intrinsic_curvature, t, chain), chain.fibre_of_bead[1:-1]
-        rest = oriented(rest, e[:-1], e[1:], state, chain, fibre)
+        e, dim = tangents(state.position), state.position.shape[1]
+        name = f"{type(self).__name__}.intrinsic_curvature"
+        rest = _rest(name, self.intrinsic_curvature, t, chain, dim)
+        rest = oriented(rest, e[:-1], e[1:], state, chain, chain.fibre_of_bead[1:-1])
         m = moments(self.rigidity, self.law, e[:-1], e[1:], _joint_length(chain), rest)
         return m * chain.joint_mask[:, None]
 
@@ -132,7 +135,8 @@ class Bending(AbstractForce):
         """Shapes that fit the joints."""
         joints, name = max(chain.beads - 2, 0), type(self).__name__
         shape(f"{name}.rigidity", self.rigidity, (), (joints,))
-        along(f"{name}.intrinsic_curvature", self.intrinsic_curvature, joints, spatial=dim == 3)
+        dtype = chain.radius.dtype
+        along(f"{name}.intrinsic_curvature", self.intrinsic_curvature, joints, dim, dtype)
 
     def explicit_step(self, chain: Chain, viscosity: Float[Array, ""]) -> Float[Array, ""]:
         """The paper's step (39)."""
@@ -162,14 +166,16 @@ class DrivingMoment(AbstractForce):
 
     def check(self, chain: Chain, dim: int) -> None:
         """A shape that fits the joints."""
-        along("DrivingMoment.moment", self.moment, max(chain.beads - 2, 0), spatial=dim == 3)
+        joints, dtype = max(chain.beads - 2, 0), chain.radius.dtype
+        along("DrivingMoment.moment", self.moment, joints, dim, dtype)
 
     def load(self, t: Float[Array, ""], state: State, chain: Chain) -> Load:
         """Torques on the beads."""
         if chain.beads < 3:
             return Load()
         e, fibre = tangents(state.position), chain.fibre_of_bead[1:-1]
-        m = oriented(_rest(self.moment, t, chain), e[:-1], e[1:], state, chain, fibre)
+        m = _rest("DrivingMoment.moment", self.moment, t, chain, e.shape[1])
+        m = oriented(m, e[:-1], e[1:], state, chain, fibre)
         return Load(torque=_torques(-m * chain.joint_mask[:, None], chain))
 
 
@@ -206,7 +212,9 @@ class BendingEnergy(AbstractPotential):
         """Bending energy [force length]."""
         e = tangents(state.position)
         cosine = jnp.sum(e[:-1] * e[1:], axis=-1)
-        rest = _rest(self.intrinsic_curvature, t, chain) * turning_angles(state.position)
+        name = f"{type(self).__name__}.intrinsic_curvature"
+        rest = _rest(name, self.intrinsic_curvature, t, chain, 2)
+        rest = rest * turning_angles(state.position)
         joint = self.rigidity * (self.law.energy(cosine) / _joint_length(chain) - rest)
         return jnp.sum(joint * chain.joint_mask)
 
@@ -214,7 +222,8 @@ class BendingEnergy(AbstractPotential):
         """Shapes that fit the joints."""
         joints, name = max(chain.beads - 2, 0), type(self).__name__
         shape(f"{name}.rigidity", self.rigidity, (), (joints,))
-        along(f"{name}.intrinsic_curvature", self.intrinsic_curvature, joints, spatial=False)
+        dtype = chain.radius.dtype
+        along(f"{name}.intrinsic_curvature", self.intrinsic_curvature, joints, 2, dtype)
 
     def explicit_step(self, chain: Chain, viscosity: Float[Array, ""]) -> Float[Array, ""]:
         """The paper's step (39)."""

@@ -46,7 +46,13 @@ class Contact(AbstractForce):
         """Whether two beads come closer on the way than at both ends, by more than half the roughness,
         and repel each other there."""
         index = jnp.arange(chain.beads)
-        beads = before.position, after.position, chain.radii, index, jnp.asarray(chain.fibre_of_bead)
+        beads = (
+            before.position,
+            after.position,
+            chain.radii,
+            index,
+            jnp.asarray(chain.fibre_of_bead),
+        )
 
         def fields(to: tuple[Array, ...], of: tuple[Array, ...]) -> list[Array]:
             start, end = separations(to[0], of[0]), separations(to[1], of[1])

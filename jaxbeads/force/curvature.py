@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._checks import fail, finite, non_negative
-from .._typing import float_array, leaf_function
+from .._functions import curvature_of, leaf_function
+from .._typing import float_array
 from ..chain import Chain
 from ..frames import axes, normals
 from ..geometry import cross, turned, unit
@@ -85,14 +86,24 @@ def check_bending(rigidity: Array, intrinsic: Curvature, spatial: bool) -> None:
 
 
 def rest_at(
+    name: str,
     intrinsic: Curvature,
     t: Float[Array, ""],
     arclength: Float[Array, " joints"],
     length: Float[Array, " joints"],
+    dim: int,
 ) -> Array:
-    """Curvature at rest at one instant, `(joints,)`, `(joints, 2)` or `(joints, 3)`."""
-    value = intrinsic(t, arclength, length) if callable(intrinsic) else intrinsic
-    return value if value.ndim else jnp.broadcast_to(value, arclength.shape)
+    """Curvature at rest at one instant, `(joints,)`, in space also `(joints, 2)` or `(joints, 3)`; its
+    name, for what a function has wrong."""
+    if not isinstance(intrinsic, jax.Array):
+        return curvature_of(name, intrinsic, t, arclength, length, dim)
+    return intrinsic if intrinsic.ndim else jnp.broadcast_to(intrinsic, arclength.shape)
+
+
+def stiffest(rigidity: Array, mask: np.ndarray) -> Array:
+    """The largest rigidity (or stiffness) where `mask` has a joint (or bond); 0 if there is none."""
+    each = jnp.broadcast_to(rigidity, mask.shape)
+    return jnp.max(each, where=mask, initial=0.0)
 
 
 def moments(
@@ -118,9 +129,9 @@ def oriented(
     chain: Chain,
     fibre: np.ndarray,
 ) -> Float[Array, "joints spins"]:
-    """`rest` as vectors. In space one number acts along the present binormal, two along the normals of the
-    joint's `fibre` (see `frames`), turned from its end-to-end direction to the joint's, three are a
-    vector already."""
+    """`rest` as vectors. In space one number acts along the present binormal, two along the normals of
+    the joint's `fibre` (see `frames`), turned from its end-to-end direction to the joint's, three are
+    a vector already."""
     if rest.ndim < 2:
         sine = cross(before, after)
         return rest[:, None] * (unit(sine) if sine.shape[1] == 3 else jnp.ones_like(sine))
@@ -136,8 +147,13 @@ def along_normals(
     intrinsic: Curvature, arclength: Float[Array, " joints"], length: Float[Array, " joints"]
 ) -> bool:
     """Whether curvature at rest is given along two normals of the fibre."""
-    value = intrinsic
-    if not isinstance(intrinsic, jax.Array):
+    if isinstance(intrinsic, jax.Array):
+        size = intrinsic.shape
+    else:
+
+        def value(t: Array, s: Array, length: Array) -> Array:
+            return rest_at("intrinsic_curvature", intrinsic, t, s, length, 3)
+
         time = jnp.zeros((), arclength.dtype)
-        value = jax.eval_shape(lambda *at: rest_at(intrinsic, *at), time, arclength, length)
-    return len(value.shape) == 2 and value.shape[1] == 2
+        size = jax.eval_shape(value, time, arclength, length).shape
+    return len(size) == 2 and size[1] == 2

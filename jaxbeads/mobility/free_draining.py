@@ -1,6 +1,7 @@
 """Free draining: every bead feels its own Stokes drag only."""
 
 from collections.abc import Callable
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -55,6 +56,7 @@ class FreeDraining(AbstractMobility):
     **Argument**: `dense`: as for `RPY`; otherwise operations grow like the number of beads as well.
     """
 
+    interacting: ClassVar[bool] = False
     dense: bool | None = eqx.field(static=True, default=None)
 
     def is_dense(self, beads: int) -> bool:

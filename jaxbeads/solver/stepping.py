@@ -49,8 +49,8 @@ class Carry(eqx.Module):
     """Attempted steps so far."""
     code: Int[Array, ""]
     """0: fine; 1: more than `max_steps` in one interval; 2: the solver gave up. (In a `Solution`, 3:
-    positions are not finite, or bonds are off their lengths by more than 1 %; 5: so are prescribed places,
-    or lengths, or directions, off their laws, as where these jump.)"""
+    positions are not finite, or bonds are off their lengths by more than 1 %; 5: prescribed places,
+    directions or lengths are off their laws by as much, as where a law jumps.)"""
     memory: Any
     """Of the solver and its controller."""
 
@@ -184,7 +184,7 @@ class AdaptiveSteps(eqx.Module):
         bad = bad | watched.passed(t0, t1, y, path)
         if unseen is not None:
             bad = bad | ~jnp.isfinite(unseen)
-            error = eqx.tree_at(lambda e: e.position, error, _longer(error.position, unseen))
+            error = _larger(error, unseen)
         error = jax.tree.map(lambda e: jnp.where(bad, jnp.inf, e), error)
         keep, start, end, jump, controller, verdict = self.controller.adapt_step_size(
             t0, t1, a.state, y, scene, error, order, a.controller
@@ -231,12 +231,14 @@ class AdaptiveSteps(eqx.Module):
         return Carry(y, carry.steps + count, code, a)
 
 
-def _longer(vectors: Float[Array, "beads dim"], by: Array) -> Float[Array, "beads dim"]:
-    """Vectors made longer, whichever way they point."""
+def _larger(error: Any, by: Array) -> State:
+    """An error of a state that is larger by a length, whichever way it points."""
+    vectors = error.position
     by, length = lax.stop_gradient(by), norm(vectors)[:, None]
     still = length == 0
     longer = vectors * (1 + by / jnp.where(still, 1.0, length))
-    return jnp.where(still, by / vectors.shape[1] ** 0.5, longer)
+    longer = jnp.where(still, by / vectors.shape[1] ** 0.5, longer)
+    return State(longer, error.director, error.normal)
 
 
 _Turn = tuple[Array, Array, _Adaptive]

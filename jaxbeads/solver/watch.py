@@ -11,8 +11,8 @@ things prevent that, and a scene pays for those only that its terms call for:
 - so that samples are close, a step spans no more save times and bead radii than `_SAMPLES` allow;
 - terms that know better say whether a step has passed them by (`AbstractForce.passed`).
 
-Smooth pulses much shorter than half the interval between save times, and than a step over `_SAMPLES`, are
-still missed.
+Smooth pulses much shorter than half the interval between save times, and than a step over `_SAMPLES`,
+are still missed.
 """
 
 from collections.abc import Callable
@@ -76,8 +76,9 @@ class Watch(NamedTuple):
         times = first + (t1 - first) * jnp.arange(_SAMPLES + 1, dtype=t0.dtype) / _SAMPLES
         others = lax.map(other, times).at[0].set(False)
         index = jnp.argmax(others)
-        bracket = jnp.where(others[index], times[index - 1], t1), jnp.where(
-            others[index], times[index], t1
+        bracket = (
+            jnp.where(others[index], times[index - 1], t1),
+            jnp.where(others[index], times[index], t1),
         )
 
         def halved(bracket: tuple[Array, Array]) -> tuple[Array, Array]:
