@@ -15,9 +15,9 @@ PACKAGE = Path(jaxbeads.__file__).parent
 ORDER = [
     {"_typing", "_checks", "loops"},
     {"factors", "iterations"},
-    {"vary", "optimise", "chunks", "cache"},
+    {"vary", "optimise", "chunks", "cache", "contents", "places"},
     {"state", "geometry"},
-    {"pairs"},
+    {"pairs", "solution"},
     {"tensors"},
     {"chain", "flow", "actuation", "numbers"},
     {"mobility", "constraint", "force"},
