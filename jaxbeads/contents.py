@@ -22,6 +22,7 @@ from typing import Any
 
 import equinox as eqx
 import numpy as np
+from jax.core import Tracer
 
 _PACKAGES = {"jax", "jaxlib", "numpy", "equinox", "diffrax", "optimistix", "lineax", "optax"}
 _PACKAGES |= {__name__.partition(".")[0]}
@@ -56,6 +57,8 @@ class Contents:
 
     def __init__(self, but: Sequence[str] = (), **trees: Any) -> None:
         self.entries: dict[str, Entry] = {}
+        self.traced: list[str] = []
+        """Paths of numbers that are not known, as a transformation of JAX stands for them."""
         self._within: list[int] = []
         self._but = frozenset(but)
         for name, tree in trees.items():
@@ -104,7 +107,10 @@ class Contents:
     def _add(self, path: str, value: Any) -> None:
         if path in self._but:
             return
-        if eqx.is_array(value) and getattr(value.dtype, "kind", None) in tuple("biufc"):
+        if isinstance(value, Tracer):
+            self.entries[path] = str(value)
+            self.traced.append(path)
+        elif eqx.is_array(value) and getattr(value.dtype, "kind", None) in tuple("biufc"):
             self.entries[path] = np.asarray(value)
         elif isinstance(value, (*_PLAIN, enum.Enum)):
             self.entries[path] = repr(value)
@@ -186,8 +192,10 @@ def _installed(function: Any) -> bool:
 def _telling(value: Any) -> bool:
     """Whether what a function reads decides on its numbers and can be looked at: modules, classes and
     functions of packages are in its code by name; of other objects nothing is known."""
-    if isinstance(value, (types.FunctionType, functools.partial, types.MethodType)):
-        return not _installed(value)
+    if isinstance(value, types.FunctionType):  # one of a package, as of jax.vmap, may hold another
+        return not _installed(value) or value.__closure__ is not None
+    if isinstance(value, (functools.partial, types.MethodType)):
+        return True
     if isinstance(value, (tuple, list)):
         return all(map(_telling, value))
     if isinstance(value, Mapping):

@@ -1,5 +1,6 @@
 """`simulate`: a trajectory for people. Chunks, progress, checks, files, restart."""
 
+import re
 import time
 import warnings
 from collections.abc import Callable
@@ -11,12 +12,12 @@ import diffrax
 import equinox as eqx
 import jax
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from ._checks import described, fail, increasing, positive, whole
 from ._typing import float_array
 from .breakdown import SimulationError, bond_error, explain, locate
+from .contents import Contents
 from .dynamics import redundancy
 from .files import TrajectoryFile, compare, load, planned_times, reopen
 from .rollout import Stepper, Tolerance, advance, diagnostics, stepper_for
@@ -119,8 +120,9 @@ def simulate(
     with the solution up to the last good state in its field `solution`.
     """
     clock = _Clock()
-    _refuse_traced("simulate", scene=scene, state=state, ts=ts, tolerance=tolerance)
-    _refuse_traced("simulate", controller=controller, bond_tolerance=bond_tolerance)
+    limits = {"bond_tolerance": bond_tolerance, "max_steps": max_steps}
+    steps = {"solver": solver, "tolerance": tolerance, "controller": controller}
+    _refuse_traced("simulate", scene=scene, state=state, ts=ts, **steps, **limits)
     check(scene, state, overlap=overlap, single_precision=single_precision)
     increasing("ts", ts)
     times = float_array(ts).astype(state.position.dtype)
@@ -139,7 +141,6 @@ def simulate(
     with run:
         carry = _init(stepper, scene, state, times[0], times[1])
         first = _part(scene, times[:1], jax.tree.map(lambda x: x[None], state), carry)
-        _refuse_traced("simulate", scene=(carry, first))  # a law may hold what is traced
         if not np.all(np.isfinite(np.asarray(first.residual))):
             how = redundancy(float(times[0]), state, scene)
             if how is not None:
@@ -182,18 +183,18 @@ def resume(
     writes to the file; and as `simulate`.
     """
     clock = _Clock()
-    _refuse_traced("resume", scene=scene, tolerance=tolerance, controller=controller)
-    _refuse_traced("resume", bond_tolerance=bond_tolerance)
+    limits = {"bond_tolerance": bond_tolerance, "max_steps": max_steps}
+    steps = {"solver": solver, "tolerance": tolerance, "controller": controller}
+    _refuse_traced("resume", scene=scene, **steps, **limits)
     last = load(file)
     times = planned_times(file)
-    _refuse_traced("resume", scene=(last, times))
+    _refuse_traced("resume", file=(last, times))  # under `jit` nothing is known
     stepper = stepper_for(
         scene, times, solver, substeps, controller, tolerance, projected, max_steps
     )
     run = _Run(scene, stepper, times, bond_tolerance, until, chunk, progress)
     compare(file, scene, stepper)
     like = _init(stepper, scene, last.final, times[0], times[1])
-    _refuse_traced("resume", scene=like)
     run.target, carry = reopen(file, like)
     with run:
         first = _part(scene, last.ts[-1:], jax.tree.map(lambda x: x[-1:], last.states), carry)
@@ -201,12 +202,11 @@ def resume(
 
 
 def _refuse_traced(by: str, **arguments: Any) -> None:
-    """Refuse numbers that a transformation of JAX stands for: the host must see them."""
-    for name, value in arguments.items():
-        if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(value)):
-            must = f"hold numbers that are known, for `{by}` looks at them while it runs"
-            but = "`jax.grad`, `jit` or `vmap` is tracing it: use `rollout`, through which they go"
-            fail(name, must, but)
+    """Refuse numbers that a transformation of JAX stands for, also in a law: the host must see them."""
+    for path in Contents(**arguments).traced:
+        must = f"hold numbers that are known, which `{by}` must see"
+        how = f"`jax.grad`, `jit` or `vmap` traces `{path}`: use `rollout`, through which they go"
+        fail(re.split(r"[.\[]", path)[0], must, how)
 
 
 def _part(scene: Scene, ts: Float[Array, " times"], states: State, carry: Carry) -> Solution:

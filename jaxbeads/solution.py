@@ -134,13 +134,14 @@ class Solution(eqx.Module):
         are not known yet, says so."""
         *batch, times, beads, dim = self.states.position.shape
         runs = f"{' x '.join(map(str, batch))} runs of " if batch else ""
+        what = f"{runs}{times} states of {beads} beads in {dim}-D"
+        shapes = ", ".join(f"{name} {shape}" for name, shape in _shapes(self.states))
+        if not known(self):
+            return f"{what}, whose numbers are traced\n{shapes}"
         by = "" if self.solver is None else f" by {self.solver}"
-        first, last = ("traced" if not known(self.ts) else self.ts[..., k] for k in (0, -1))
-        lines = [
-            f"{runs}{times} states of {beads} beads in {dim}-D, t = {_text(first, 'g')} to "
-            f"{_text(last, 'g')}, {_text(self.steps, '')} steps{by}, {self.status}",
-            ", ".join(f"{name} {shape}" for name, shape in _shapes(self.states)),
-        ]
+        first, last = (_text(self.ts[..., k], "g") for k in (0, -1))
+        steps = f"{_text(self.steps, '')} steps{by}"
+        lines = [f"{what}, t = {first} to {last}, {steps}, {self.status}", shapes]
         if self.wall_s is not None and self.compile_s is not None:
             wall, compiling = _text(self.wall_s, ".2f"), _text(self.compile_s, ".2f")
             lines.append(f"wall time {wall} s, of which compiling {compiling} s")
@@ -151,9 +152,8 @@ class Solution(eqx.Module):
         given = [f"{n} {_text(x, '.1e', np.max)}" for n, x in errors.items() if x is not None]
         if given:
             lines.append(", ".join(given))
-        if known(self.code):
-            codes = [int(c) for c in np.unique(np.asarray(self.code)) if c != 0]
-            lines += [f"code {c}: {CODES.get(c, 'not one of a run')}" for c in codes]
+        codes = [int(c) for c in np.unique(np.asarray(self.code)) if c != 0]
+        lines += [f"code {c}: {CODES.get(c, 'not one of a run')}" for c in codes]
         return "\n".join(lines)
 
     def __repr__(self) -> str:
@@ -172,8 +172,6 @@ def _shapes(states: State) -> Iterator[tuple[str, tuple[int, ...]]]:
 
 def _text(value: Any, form: str, of: Callable[[Any], Any] | None = None) -> str:
     """A number, or the range of many."""
-    if isinstance(value, str) or not known(value):
-        return "traced"
     every = np.asarray(value)
     low, high = (every.min(), every.max()) if of is None else (of(every), of(every))
     one, other = (format(x.item(), form) for x in (low, high))
