@@ -1,6 +1,7 @@
 """Why a run broke down: the step, the bead and the term, in a sentence that says what to do."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import diffrax
 import equinox as eqx
@@ -12,8 +13,9 @@ from .dynamics import redundancy
 from .faults import REMEDY, Fault, not_finite, not_smooth
 from .force import Contact
 from .geometry import smallest_gap
-from .rollout import Solution, Stepper, default_solver
+from .rollout import Stepper, default_solver
 from .scene import Scene
+from .solution import Solution
 from .solver import AdaptiveSteps, FixedSteps, Rosenbrock, explicit_step
 from .solver.stepping import Carry
 from .state import Load, State
@@ -37,6 +39,10 @@ class SimulationError(RuntimeError):
         super().__init__(cause.message)
         self.cause = cause
         self.solution = solution
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # By its arguments, not by its text: copies, and other processes, make it anew from them.
+        return type(self), (self.cause, self.solution), self.__dict__
 
 
 def bond_error(scene: Scene, state: State) -> tuple[float, int]:

@@ -19,8 +19,8 @@ from ._checks import non_zero, positive, shape
 from .dynamics import constraint_load
 from .geometry import norm
 from .observables import power, swimming_efficiency
-from .rollout import Solution
 from .scene import Scene
+from .solution import Solution
 from .state import State
 
 __all__ = [

@@ -13,7 +13,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, PyTree
 
-from ._checks import described, fail, finite, kind, positive, whole
+from ._checks import described, fail, finite, kind, known, positive, whole
 from ._typing import float_array
 
 _ROUND = 20  # steps between two corrections of the multipliers
@@ -30,19 +30,37 @@ class History(eqx.Module):
     time: np.ndarray
 
 
+_STEPS, _VANISHES, _NOT_FINITE, _INTERRUPTED = 101, 102, 103, 104
+_ENDINGS = {
+    _STEPS: "took all {} steps",
+    _VANISHES: "the gradient vanishes",
+    _NOT_FINITE: "stopped: the loss is not finite at step {}",
+    _INTERRUPTED: "interrupted",
+}
+"""Why it ended. A sum or a difference of two of the numbers is none of them."""
+
+
 class Optimum(eqx.Module):
     """The result of `optimise`.
 
     - `values`, `loss`, `violation`: of the best step (with a constraint: the last); with `many`, a
       leading axis of starts.
-    - `history`: see `History`; `status`: why it ended.
+    - `history`: see `History`; `status`: why it ended, which `ending` is a number for: two results of
+      one shape have one structure.
     """
 
     values: PyTree
     loss: Array
     violation: Array
     history: History
-    status: str = eqx.field(static=True)
+    ending: Array
+
+    @property
+    def status(self) -> str:
+        """Why it ended, in words; "traced" under a transformation. A host function."""
+        if not known((self.ending, self.history.loss)):
+            return "traced"
+        return _ENDINGS.get(int(self.ending), "unknown").format(len(self.history.loss))
 
 
 class _Walk(eqx.Module):
@@ -194,7 +212,7 @@ def optimise(
     best, least = walk.z, jnp.full(number, jnp.inf)
     if file is not None and Path(file).exists():
         (walk, best, least), rows = _read(file, (walk, best, least))
-    status, begun = f"took all {steps} steps", time.perf_counter() - (rows[-1][3] if rows else 0.0)
+    ending, begun = _STEPS, time.perf_counter() - (rows[-1][3] if rows else 0.0)
     from tqdm.auto import tqdm
 
     try:
@@ -203,7 +221,7 @@ def optimise(
                 after, report = step(walk)
                 value, norm, off = (np.asarray(x) for x in report)
                 if not np.all(np.isfinite(value)) and not many:
-                    status = f"stopped: the loss is not finite at step {len(rows)}"
+                    ending = _NOT_FINITE
                     break
                 rows.append([value, norm, off, np.asarray(time.perf_counter() - begun)])
                 better = (value < least) | constrained
@@ -217,15 +235,15 @@ def optimise(
                 bar.update()
                 bar.set_postfix(loss=f"{value.min():.4g}")
                 if not constrained and np.all(norm < gradient_tolerance):
-                    status = "the gradient vanishes"
+                    ending = _VANISHES
                     break
     except KeyboardInterrupt:
-        status = "interrupted"
+        ending = _INTERRUPTED
     losses, norms, off, seconds = (np.array([row[k] for row in rows]) for k in range(4))
     last, c = over(problem.both)(best)
     violation = jnp.max(jnp.abs(c), axis=-1, initial=0.0)
     history = History(losses, norms, off, seconds)
-    return Optimum(values(best), last, violation, history, status)
+    return Optimum(values(best), last, violation, history, jnp.asarray(ending, jnp.int32))
 
 
 def _pick(better: Any, new: PyTree, old: PyTree) -> PyTree:

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from ._checks import fail, increasing, kind, known, positive, whole
 from ._typing import float_array
@@ -17,6 +17,7 @@ from .constraint import AbstractChainConstraint
 from .dynamics import constraint_residual
 from .force import AbstractForce
 from .scene import Scene, check
+from .solution import Solution, solver_number
 from .solver import AB3, AdaptiveSteps, FixedSteps, Rosenbrock
 from .solver.stepping import Carry, substeps_for
 from .solver.tolerance import controller_for, default_tolerance
@@ -26,49 +27,6 @@ Stepper = FixedSteps | AdaptiveSteps
 Tolerance = Float[Array, ""] | float
 _BOND_TOLERANCE = 0.01
 _LAW_TOLERANCE = 0.01
-
-
-class Solution(eqx.Module):
-    """A trajectory.
-
-    - `ts`: times, `(times,)`; `states`: `State` with a leading axis of times.
-    - `steps`: attempted steps; `code`: 0 when all went well (see `solver.stepping.Carry`).
-    - `residual`: constraint residual at each time, see `dynamics.constraint_residual`;
-      `bond_length_error`: largest relative error of a bond at each time. The first is `None` from
-      `rollout`.
-    - `wall_s`, `compile_s`: seconds in all, and of them for compiling (`simulate` only).
-    - `status`: "finished", "stopped by `until`" or "interrupted" (`simulate` only).
-    """
-
-    ts: Float[Array, " times"]
-    states: State
-    steps: Int[Array, ""]
-    code: Int[Array, ""]
-    residual: Float[Array, " times"] | None = None
-    bond_length_error: Float[Array, " times"] | None = None
-    wall_s: float = eqx.field(static=True, default=0.0)
-    compile_s: float = eqx.field(static=True, default=0.0)
-    status: str = eqx.field(static=True, default="finished")
-
-    @property
-    def final(self) -> State:
-        """State at the last time."""
-        return jax.tree.map(lambda x: x[-1], self.states)
-
-    def summary(self) -> str:
-        """What was done, in a few lines."""
-        times, beads, dim = self.states.position.shape
-        lines = [
-            f"{times} states of {beads} beads in {dim}-D, t = {float(self.ts[0]):g} to "
-            f"{float(self.ts[-1]):g}, {int(self.steps)} steps, {self.status}",
-            f"wall time {self.wall_s:.2f} s, of which compiling {self.compile_s:.2f} s",
-        ]
-        if self.residual is not None and self.bond_length_error is not None:
-            lines.append(
-                f"constraint residual {np.max(self.residual):.1e}, "
-                f"bond-length error {np.max(self.bond_length_error):.1e}"
-            )
-        return "\n".join(lines)
 
 
 def default_solver(scene: Scene) -> diffrax.AbstractSolver:
@@ -263,7 +221,8 @@ def _trajectory(
     code = jnp.where((carry.code == 0) & ~good, 3, carry.code)
     lost = jnp.max(law_errors(scene, stepper, *lax.stop_gradient((ts, states))), initial=0.0)
     code = jnp.where((code == 0) & (lost > _LAW_TOLERANCE), 5, code)
-    return Solution(ts, states, carry.steps, code, bond_length_error=errors)
+    method = solver_number(stepper.solver)
+    return Solution(ts, states, carry.steps, code, bond_length_error=errors, method=method)
 
 
 def bond_errors(scene: Scene, states: State) -> Float[Array, " times"]:

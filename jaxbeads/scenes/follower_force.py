@@ -7,8 +7,8 @@ from ..chain import Chain, from_tangents
 from ..constraint import Gears, PrescribedPosition, clamped
 from ..force import Bending, Follower
 from ..mobility import RPY, AbstractMobility
-from ..rollout import Solution
 from ..scene import Scene
+from ..solution import Solution
 from ..state import State
 from .case import Case, ReadyMade, Value, lateral_modes
 
