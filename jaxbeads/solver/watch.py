@@ -42,6 +42,11 @@ def _interpolation() -> np.ndarray:
 
 
 _MATRIX = _interpolation()
+def _after(t: Array) -> Array:
+    """The next instant but one."""
+    return jnp.nextafter(jnp.nextafter(t, jnp.inf), jnp.inf)
+
+
 Acting = Callable[[Array, State], list[Array]]
 """What something does to the beads at an instant, as velocities [length/time] of any shape."""
 
@@ -57,16 +62,17 @@ class Watch(NamedTuple):
     """What depends on the place as well, in ways that are not known to be smooth."""
 
     def end(self, t0: Array, t1: Array, gap: Array) -> tuple[Array, Array]:
-        """The last instant before the terms switch, and the first one after it; where they do not, t1
-        twice, or an earlier instant if a step to t1 could not be sampled well enough."""
+        """The last instant before the terms switch, and one just after it; where they do not, t1 twice, or
+        an earlier instant if a step to t1 could not be sampled well enough."""
         if self.timed is None and self.placed is None:
             return t1, t1
         t1 = jnp.minimum(t1, t0 + _SAMPLES / 2 * gap)
         decided = None if self.timed is None else self._decided(self.timed, t0.dtype)
         if decided is None:
             return t1, t1
-        # The start may be the instant of a switch: what counts is what comes after it.
-        first = jnp.nextafter(jnp.nextafter(t0, t1), t1)
+        # The start may be the instant of a switch, at which a law may have a value of its own (the slope
+        # of a kink, say): what counts is what comes after it.
+        first = _after(t0)
         before = decided(first)
 
         def other(t: Array) -> Array:
@@ -92,7 +98,8 @@ class Watch(NamedTuple):
             middle = low + (high - low) / 2
             return (low < middle) & (middle < high)
 
-        return lax.while_loop(open_, halved, bracket)
+        last, switched = lax.while_loop(open_, halved, bracket)
+        return last, jnp.where(switched > last, _after(switched), switched)
 
     def _decided(self, timed: Acting, dtype: Any) -> Callable[[Array], Array] | None:
         return switches(lambda t: timed(t, self.state), dtype)
