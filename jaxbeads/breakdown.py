@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from .constraint import AbstractChainConstraint
-from .dynamics import ambient_motion, redundancy
+from .dynamics import ambient_motion, carried, redundancy
 from .force import Contact
 from .geometry import smallest_gap
 from .rollout import Solution, Stepper, default_solver
-from .scene import Scene
+from .scene import Scene, in_single
 from .solver import AdaptiveSteps, FixedSteps, Rosenbrock, explicit_step
 from .solver.stepping import Carry
 from .state import Load, State
@@ -64,6 +64,10 @@ def guilty_term(t: float, state: State, scene: Scene) -> tuple[str, str]:
             largest, size = name, value
     ambient = ambient_motion(t, state, scene)
     if ambient is not None and not np.all(np.isfinite(ambient.velocity)):
+        if np.all(np.isfinite(carried(t, state, scene).velocity)):
+            return type(
+                scene.mobility
+            ).__name__, "what beads do to one another in the flow is not finite"
         return type(scene.flow).__name__, "its velocity is not finite"
     if (how := redundancy(t, state, scene)) is not None:
         return " + ".join(type(c).__name__ for c in scene.constraints), how
@@ -88,18 +92,18 @@ def explain(
     step: int,
     bad: State | None,
     advice: str = "",
-    what: str = "the motion is not finite",
+    what: str = "",
 ) -> Cause:
     """The cause from the last good state, at time t, and what the step from there made of it (or, if
     there is no such state, `what` happened)."""
     term, how = guilty_term(t, good, scene)
-    bead = None
+    bead, what = None, what or f"the motion is not finite{in_single(good.position.dtype)}"
     if bad is not None:
         finite = np.isfinite(np.asarray(bad.position)).all(axis=1)
         error, bond = bond_error(scene, bad)
         if not finite.all():
             bead = int(np.argmin(finite))
-            what = f"bead {bead} has no finite position"
+            what = f"bead {bead} has no finite position{in_single(bad.position.dtype)}"
         elif error > 0:
             bead = bond
             what = (
@@ -141,6 +145,11 @@ def _given_up(stepper: AdaptiveSteps, scene: Scene, after: Carry, t0: float, t1:
     else:
         what = f"no step, down to {step:.2g}, meets the tolerance with finite numbers"
         advice = " Loosen `tolerance`, or look at the term named here."
+        rounding = float(np.spacing(np.abs(np.asarray(last.previous))))
+        if 0 <= step <= 4 * rounding and rounding > 1e-9 * (t1 - t0):
+            advice += (
+                f" Times near t = {t0:g} are rounded to {rounding:.2g}: start nearer to t = 0."
+            )
     return explain(scene, last.state, float(last.previous), int(after.steps), None, advice, what)
 
 

@@ -5,7 +5,7 @@ Lengths are divided by a radius before they are raised to powers, and powers of 
 results: in single precision the sixth power of a micrometre is not there.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import reduce
 from typing import NamedTuple
 

@@ -29,6 +29,8 @@ class AbstractConstraint(eqx.Module):
     """Whether `slip` reads spins."""
     oriented: ClassVar[bool] = False
     """Whether `slip` reads directors."""
+    turning: ClassVar[bool] = False
+    """Whether `slip` is a rate of turning [1/time], not a velocity."""
 
     @abc.abstractmethod
     def slip(self, t: Float[Array, ""], state: State, motion: Motion, chain: Chain) -> Array:

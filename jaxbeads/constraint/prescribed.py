@@ -79,6 +79,7 @@ class PrescribedSpin(AbstractConstraint):
     """
 
     rotational: ClassVar[bool] = True
+    turning: ClassVar[bool] = True
     law: Law | None = eqx.field(converter=_law, default=None)
     bead: int = eqx.field(static=True, default=0)
 

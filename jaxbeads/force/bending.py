@@ -46,8 +46,10 @@ def _rest(intrinsic: Curvature, t: Float[Array, ""], chain: Chain) -> Array:
 def _bending_step(rigidity: Array, chain: Chain, viscosity: Float[Array, ""]) -> Float[Array, ""]:
     """mu l^4 / K_b, l = 2 (a + eps_g), eq. (39)."""
     stiffest = jnp.max(rigidity)
-    step = viscosity * (2 * jnp.min(chain.radius + chain.gap)) ** 4
-    return jnp.where(stiffest == 0, jnp.inf, step / jnp.where(stiffest == 0, 1.0, stiffest))
+    square = (2 * jnp.min(chain.radius + chain.gap)) ** 2
+    # Not l^4, which single precision may not hold.
+    step = viscosity * square / jnp.where(stiffest == 0, 1.0, stiffest) * square
+    return jnp.where(stiffest == 0, jnp.inf, step)
 
 
 def _torques(moments: Float[Array, "joints spins"], chain: Chain) -> Float[Array, "beads spins"]:

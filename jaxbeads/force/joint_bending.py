@@ -131,12 +131,14 @@ class JointBending(AbstractForce):
         if self.repulsion is None:
             return Load(torque=torque)
         rigidity = jnp.broadcast_to(self.rigidity, m.shape[:1])
-        square = jnp.sum(m * m, axis=1)  # (K_b (kappa - kappa_0))^2
-        stiff = jnp.where(rigidity == 0, 1.0, rigidity)
+        # Not the square of K_b kappa, nor K_b E_b, which single precision may not hold.
+        bent = m / jnp.where(rigidity == 0, 1.0, rigidity)[:, None]
+        joint = rigidity * jnp.sum(bent * bent, axis=1)
         fibre = chain.fibre_of_bead
         member = (fibre[:-1] == np.arange(len(chain.fibres))[:, None]) * 1.0
-        energy = member @ (square / stiff)
-        scale = jnp.sqrt(jnp.where(energy == 0, 1.0, jnp.max(rigidity) * energy / chain.length**3))
+        energy = member @ joint
+        scale = jnp.max(rigidity) / chain.length**2 * (energy / chain.length)
+        scale = jnp.sqrt(jnp.where(energy == 0, 1.0, scale))
         scale = self.repulsion.viscous + self.repulsion.elastic * jnp.where(energy == 0, 0.0, scale)
         d = bonds(state.position)
         gap = norm(d) - chain.radii[:-1] - chain.radii[1:]
@@ -157,7 +159,5 @@ class JointBending(AbstractForce):
         beads, whose fastest rate is about 4 (K_b / l) / (8 pi mu a^3)."""
         stiffest = jnp.max(self.rigidity)
         radius = jnp.min(chain.radius)
-        step = viscosity * radius**3 * 2 * (radius + chain.gap)
-        return jnp.where(
-            stiffest == 0, jnp.inf, step / jnp.where(stiffest == 0, 1.0, stiffest) * 1.5
-        )
+        step = viscosity * radius**2 / jnp.where(stiffest == 0, 1.0, stiffest)
+        return jnp.where(stiffest == 0, jnp.inf, step * radius * 3 * (radius + chain.gap))
