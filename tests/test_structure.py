@@ -14,7 +14,7 @@ PACKAGE = Path(jaxbeads.__file__).parent
 # A module imports from earlier rows only (and, in a row, what `base` modules allow).
 ORDER = [
     {"_typing", "_checks", "loops"},
-    {"factors", "iterations"},
+    {"factors", "iterations", "units"},
     {"vary", "optimise", "chunks", "cache"},
     {"state", "geometry"},
     {"pairs"},
