@@ -14,7 +14,7 @@ from .faults import REMEDY, Fault, not_finite, not_smooth
 from .force import Contact
 from .geometry import smallest_gap
 from .rollout import Stepper, default_solver
-from .scene import Scene
+from .scene import Scene, in_single
 from .solution import Solution
 from .solver import AdaptiveSteps, FixedSteps, Rosenbrock, explicit_step
 from .solver.stepping import Carry
@@ -98,11 +98,12 @@ def explain(
     step: int,
     bad: State | None,
     advice: str = "",
-    what: str = "the motion is not finite",
+    what: str = "",
     derivatives: bool = False,
 ) -> Cause:
     """The cause from the last good state, at time t, and what the step from there made of it (or, if
     there is no such state, `what` happened); `derivatives`: whether the step needed them."""
+    what = what or f"the motion is not finite{in_single(good.position.dtype)}"
     term, how, bead, derivative = guilty_term(t, good, scene, derivatives)
     if derivative:
         what, advice = "the linear equations of a step are not finite", f" {REMEDY}"
@@ -111,7 +112,7 @@ def explain(
         error, bond = bond_error(scene, bad)
         if not finite.all():
             bead = int(np.argmin(finite)) if bead is None else bead
-            what = f"bead {int(np.argmin(finite))} has no finite position"
+            what = f"bead {int(np.argmin(finite))} has no finite position{in_single(bad.position.dtype)}"
         elif error > 0:
             bead = bond
             what = (
@@ -158,6 +159,11 @@ def _given_up(stepper: AdaptiveSteps, scene: Scene, after: Carry, t0: float, t1:
     else:
         what = f"no step, down to {step:.2g}, meets the tolerance with finite numbers"
         advice = " Loosen `tolerance`, or look at the term named here."
+        rounding = float(np.spacing(np.abs(np.asarray(last.previous))))
+        if 0 <= step <= 4 * rounding and rounding > 1e-9 * (t1 - t0):
+            advice += (
+                f" Times near t = {t0:g} are rounded to {rounding:.2g}: start nearer to t = 0."
+            )
     time, steps, implicit = float(last.previous), int(after.steps), _implicit(stepper)
     return explain(scene, last.state, time, steps, None, advice, what, implicit)
 

@@ -70,6 +70,13 @@ class Coordinates(eqx.Module):
         return jnp.concatenate([part.ravel() for part in parts])
 
     @property
+    def units(self) -> Float[Array, " numbers"]:
+        """How large each coordinate may be: the longest fibre's length for places, otherwise 1."""
+        places, *others = self.sizes
+        ones = jnp.ones(places + sum(others), self.start.position.dtype)
+        return ones.at[:places].set(jnp.max(self.chain.length))
+
+    @property
     def sizes(self) -> tuple[int, ...]:
         """How many numbers are points of fibres (or all beads), turns of directions, directors and
         normals that are carried."""

@@ -31,7 +31,7 @@ from .saddle import (
     saddle_point,
     slips,
 )
-from .scene import Scene
+from .scene import Scene, in_single
 from .state import Load, Motion, State, add_loads, add_motions, zero_motion
 
 
@@ -227,14 +227,13 @@ def redundancy(t: Time, state: State, scene: Scene) -> str | None:
     if matrix.size == 0:  # as one bead under `Gears`
         return None
     if not np.all(np.isfinite(matrix)):
-        return "the matrix J M J^T is not finite"
+        return f"the matrix J M J^T is not finite{in_single(matrix.dtype)}"
     scale = np.sqrt(np.abs(np.diagonal(matrix)))
     scale[scale == 0] = 1.0
     values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
     null = vectors[:, values < 10 * len(values) * np.finfo(matrix.dtype).eps * values[-1]]
     if null.shape[1] == 0:
         return None
-    null = null / scale[:, None]
     time = jnp.asarray(t)
     if (how := _together(state, scene)) is not None and _pushes(time, state, scene, null):
         return how
@@ -246,9 +245,10 @@ def redundancy(t: Time, state: State, scene: Scene) -> str | None:
         for c, part in zip(scene.constraints, parts, strict=True)
         if part.max(initial=0.0) > 1e-6 * np.abs(null).max()
     ]
-    offset = np.asarray(slips(time, state, scene)(still))
+    offset = np.asarray(slips(time, state, scene)(still)) / scale
     size = np.abs(null).T @ np.abs(offset)
-    clash = np.any(np.abs(null.T @ offset) > 1e-8 * np.where(size == 0, 1.0, size))
+    least = max(1e-8, 100 * float(np.finfo(matrix.dtype).eps))
+    clash = np.any(np.abs(null.T @ offset) > least * size)
     verb = "depends" if null.shape[1] == 1 else "depend"
     how = "contradict one another" if clash else "are redundant"
     return f"{' + '.join(names)} {how}: {null.shape[1]} of their rows {verb} on the others"
@@ -284,7 +284,8 @@ def constraint_residual(t: Time, state: State, scene: Scene) -> Float[Array, ""]
     """Norm of J Qdot + B over the number of rows and the scale of the velocities, eq. (49).
 
     Zero up to rounding when the multipliers do their work. The scale is the largest velocity that beads
-    have, or would have without constraints: a fibre at rest may be held against large forces.
+    or their surfaces have, or would have without constraints: a fibre at rest may be held against large
+    forces. Rates of turning count times the largest radius.
     """
     if not scene.constraints:
         return jnp.zeros((), state.position.dtype)
@@ -294,9 +295,19 @@ def constraint_residual(t: Time, state: State, scene: Scene) -> Float[Array, ""]
 @eqx.filter_jit
 def _residual(t: Time, state: State, scene: Scene) -> Array:
     free, (moved, _) = _free_and_held(t, state, scene)
-    slip = slips(t, state, scene)(moved)
-    scale = jnp.maximum(jnp.max(jnp.abs(moved.velocity)), jnp.max(jnp.abs(free.velocity)))
-    return jnp.linalg.norm(slip) / (max(slip.shape[0], 1) * jnp.where(scale == 0, 1.0, scale))
+    radius = jnp.max(scene.chain.radius)
+    both = jax.tree.leaves(((moved.velocity, free.velocity), (moved.spin, free.spin)))
+    sizes = [jnp.max(jnp.abs(x)) for x in both]
+    scale = jnp.max(jnp.stack([*sizes[:2], *(radius * x for x in sizes[2:])]))
+    scale = jnp.where(scale == 0, 1.0, scale)
+    rows = [
+        jnp.ravel(c.slip(jnp.asarray(t), state, moved, scene.chain))
+        / scale
+        * (radius if c.turning else 1.0)
+        for c in scene.constraints
+    ]
+    slip = jnp.concatenate(rows)
+    return jnp.linalg.norm(slip) / max(slip.shape[0], 1)
 
 
 def rate(t: Time, state: State, scene: Scene) -> State:

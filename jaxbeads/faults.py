@@ -101,7 +101,7 @@ def _slip(
     return constraint.slip(t, state, held, scene.chain)
 
 
-_NAMES = {"position": "the positions", "director": "the orientations"}
+_NAMES = {"position": "the positions", "director": "the orientations", "normal": "the normals"}
 
 
 def _derivative(

@@ -23,7 +23,7 @@ from .dynamics import (
 from .geometry import bonds, cross, norm, tangents
 from .mobility import RPY, AbstractMobility
 from .scene import Scene
-from .state import Load, State, add_loads, spins
+from .state import Load, Motion, State, add_loads, spins
 
 __all__ = [
     "bond_length_error",
@@ -151,8 +151,9 @@ def settling_velocity(t: Time, state: State, scene: Scene) -> Float[Array, " dim
 def friction_coefficient(t: Time, state: State, scene: Scene, force: Any) -> Float[Array, ""]:
     """gamma = F / V for the total force F [force time/length], V the mean velocity along F."""
     force = jnp.asarray(force)
-    size = jnp.linalg.norm(force)
-    return size**2 / jnp.dot(settling_velocity(t, state, scene), force)
+    size = jnp.max(jnp.abs(force))  # a square of the force itself may be too small
+    size = size * jnp.linalg.norm(force / jnp.where(size == 0, 1.0, size))
+    return size / jnp.dot(settling_velocity(t, state, scene), force / size)
 
 
 def power(t: Time, state: State, scene: Scene) -> Float[Array, ""]:
@@ -183,6 +184,10 @@ def swimming_efficiency(speed: Any, mean_power: Any, scene: Scene) -> Float[Arra
     return drag * jnp.asarray(speed) ** 2 / mean_power
 
 
+def _spin(motion: Motion) -> Array:
+    return jnp.zeros_like(motion.velocity[..., :0]) if motion.spin is None else motion.spin
+
+
 def rigid_resistance(
     position: Any, chain: Chain, viscosity: Any = 1.0, mobility: AbstractMobility = _RPY
 ) -> Float[Array, "motions motions"]:
@@ -201,10 +206,12 @@ def _resistance(
     beads, dim = position.shape
     turns = spins(dim)
     operator = mobility.operator(position, chain.radius, viscosity, True)
+    # Spins times a length and torques over it: pivots must not depend on the unit of length.
+    length = jnp.max(chain.radius)
 
     def column(unit: Array) -> Array:
-        moved = operator.motion(Load(unit[:, :dim], unit[:, dim:]))
-        return jnp.concatenate(jax.tree.leaves(moved), axis=1).ravel()
+        moved = operator.motion(Load(unit[:, :dim], length * unit[:, dim:]))
+        return jnp.concatenate([moved.velocity, length * _spin(moved)], axis=1).ravel()
 
     size = beads * (dim + turns)
     matrix = jax.vmap(column)(jnp.eye(size).reshape(size, beads, dim + turns))
@@ -215,7 +222,8 @@ def _resistance(
             velocity = jnp.stack([-arm[:, 1], arm[:, 0]], axis=1)
         else:
             velocity = jnp.cross(jnp.broadcast_to(unit, arm.shape), arm)
-        rows.append(jnp.concatenate([velocity, jnp.broadcast_to(unit, (beads, turns))], axis=1))
+        spin = jnp.broadcast_to(length * unit, (beads, turns))
+        rows.append(jnp.concatenate([velocity, spin], axis=1))
     moves = [jnp.tile(np.eye(dim + turns)[i], (beads, 1)) for i in range(dim)]
     body = jnp.stack([row.ravel() for row in (*moves, *rows)], axis=1)
     return body.T @ jnp.linalg.solve(matrix, body)

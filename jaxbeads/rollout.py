@@ -27,6 +27,7 @@ Stepper = FixedSteps | AdaptiveSteps
 Tolerance = Float[Array, ""] | float
 _BOND_TOLERANCE = 0.01
 _LAW_TOLERANCE = 0.01
+_LEAST_STEP = 100
 
 
 def default_solver(scene: Scene) -> diffrax.AbstractSolver:
@@ -58,6 +59,7 @@ def stepper_for(
         fail("solver", must, "it is Rosenbrock (`RPY(dense=True)` makes it dense at any size)")
     solver = _both_modes(solver)
     whole("max_steps", max_steps, 1)
+    _check_distinct(ts)
     if tolerance is not None:
         controller = _controller(scene, ts, solver, substeps, controller, tolerance)
     elif substeps is None and controller is None and _adaptive(solver):
@@ -77,11 +79,8 @@ def stepper_for(
     if isinstance(solver, diffrax.AbstractImplicitSolver) and _missing(solver):
         must = "be given with an implicit solver, whose root finder takes its tolerances from it"
         fail("controller", must, "it is None")
-    if isinstance(solver, AB3) and known(ts):
-        gaps = np.diff(np.asarray(ts))
-        if np.ptp(gaps) > 1e-6 * np.max(gaps):
-            must = "be evenly spaced for AB3, whose steps are equal"
-            fail("ts", must, f"its intervals range from {gaps.min():g} to {gaps.max():g}")
+    if isinstance(solver, AB3):
+        _check_even(ts)
     if substeps is None:
         if not known((ts, scene)):
             must = "be given when the scene or the times are traced"
@@ -89,7 +88,48 @@ def stepper_for(
             fail("substeps", must, how)
         substeps = substeps_for(scene, ts, None)
     whole("substeps", substeps, 1)
+    _check_resolved(ts, substeps)
     return FixedSteps(solver, substeps, bool(projected))
+
+
+def _check_distinct(ts: Array) -> None:
+    """Times that differ may be the same in the precision of the state."""
+    if known(ts) and not np.all(np.diff(np.asarray(ts)) > 0):
+        k = int(np.argmin(np.diff(np.asarray(ts)) > 0))
+        must = f"differ by more than the rounding of {ts.dtype}, in which the state is"
+        fail("ts", must, f"there entries {k} and {k + 1} are both {float(ts[k]):.9g}")
+
+
+def _check_even(ts: Array) -> None:
+    """Equal intervals, up to the rounding of the times."""
+    if not known(ts):
+        return
+    times = np.asarray(ts)
+    single = times.astype(np.float32)
+    # Times that single precision holds may come from there.
+    rounding = _spacing(single if np.all(single == times) else times)
+    gaps = np.diff(times)
+    if np.ptp(gaps) > 1e-6 * np.max(gaps) + 4 * rounding:
+        must = "be evenly spaced for AB3, whose steps are equal"
+        fail("ts", must, f"its intervals range from {gaps.min():g} to {gaps.max():g}")
+
+
+def _check_resolved(ts: Array, substeps: int) -> None:
+    """Equal steps are differences of times, whose rounding must be a small part of them."""
+    if not known(ts):
+        return
+    times = np.asarray(ts)
+    step, rounding = float(np.min(np.diff(times))) / substeps, _spacing(times)
+    if step < _LEAST_STEP * rounding:
+        last = float(np.max(np.abs(times)))
+        must = f"leave equal steps of at least {_LEAST_STEP} times the rounding of the times"
+        but = f"the steps are {step:.3g}, and near t = {last:g} times are rounded to {rounding:.2g}"
+        fail("ts", must, f"{but} in {ts.dtype} (start nearer to t = 0, or take longer steps)")
+
+
+def _spacing(times: np.ndarray) -> float:
+    """Distance of neighbouring numbers at the largest time."""
+    return float(np.spacing(np.max(np.abs(times))))
 
 
 def _both_modes(solver: diffrax.AbstractSolver) -> diffrax.AbstractSolver:

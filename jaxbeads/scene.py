@@ -90,6 +90,32 @@ def _check_kinds(name: str, terms: Any, wanted: type) -> None:
             fail(name, f"hold {wanted.__name__} objects", f"it holds {described(term)}{hint}")
 
 
+def in_single(dtype: Any) -> str:
+    """What to add to "is not finite" where single precision may be to blame."""
+    if dtype == jnp.float64:
+        return ""
+    return (
+        f" in {jnp.dtype(dtype)}, whose numbers end at 3e38 and 1e-38: take float64, or units in which "
+        "radius and viscosity are nearer to 1"
+    )
+
+
+def _check_range(scene: Scene) -> None:
+    """Refuse mobilities of beads that single precision cannot hold."""
+    radius, viscosity = scene.chain.radius, scene.viscosity
+    if not known((radius, viscosity)):
+        return
+    a, mu = np.asarray(radius, float), float(viscosity)
+    numbers = {"6 pi mu a": 6 * np.pi * mu * a}
+    if scene.rotational:
+        numbers["8 pi mu a^3"] = 8 * np.pi * mu * a**3
+    for name, value in numbers.items():
+        if not np.all((value > 1e-34) & (value < 1e34)):
+            must = "be in units that suit single precision (float32), or in float64"
+            worst = float(np.ravel(value)[np.argmax(np.abs(np.log(value)))])
+            fail("scene", must, f"the friction of a bead, {name}, is {worst:.3g}")
+
+
 def check(
     scene: Scene, state: State, *, overlap: bool = True, single_precision: bool = False
 ) -> None:
@@ -135,6 +161,8 @@ def check(
     for leaf in jax.tree.leaves(scene):
         if position.dtype == jnp.float32 and getattr(leaf, "dtype", None) == jnp.float64:
             fail("scene", "be in float32 as the state is", "it holds numbers in float64")
+    if position.dtype == jnp.float32:
+        _check_range(scene)
     for term in (*scene.constraints, *scene.forces):
         term.check(chain, dim)
     jointed = any(isinstance(c, Joint) for c in scene.constraints)

@@ -15,7 +15,7 @@ PACKAGE = Path(jaxbeads.__file__).parent
 ORDER = [
     {"_typing", "_checks", "loops", "programs"},
     {"_functions"},
-    {"factors", "iterations"},
+    {"factors", "iterations", "units"},
     {"vary", "optimise", "chunks", "cache", "contents", "places"},
     {"state", "geometry"},
     {"pairs", "solution"},

@@ -55,8 +55,10 @@ def _framed(intrinsic: Curvature, chain: Chain) -> bool:
 def _bending_step(rigidity: Array, chain: Chain, viscosity: Float[Array, ""]) -> Float[Array, ""]:
     """mu l^4 / K_b, l = 2 (a + eps_g), eq. (39); infinite without a joint."""
     most = stiffest(rigidity, chain.joint_mask)
-    step = viscosity * (2 * jnp.min(chain.radius + chain.gap)) ** 4
-    return jnp.where(most == 0, jnp.inf, step / jnp.where(most == 0, 1.0, most))
+    square = (2 * jnp.min(chain.radius + chain.gap)) ** 2
+    # Not l^4, which single precision may not hold.
+    step = viscosity * square / jnp.where(most == 0, 1.0, most) * square
+    return jnp.where(most == 0, jnp.inf, step)
 
 
 def _torques(moments: Float[Array, "joints spins"], chain: Chain) -> Float[Array, "beads spins"]:

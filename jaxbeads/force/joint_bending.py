@@ -137,13 +137,15 @@ class JointBending(AbstractForce):
         if self.repulsion is None:
             return Load(torque=torque)
         rigidity = jnp.broadcast_to(self.rigidity, m.shape[:1])
-        square = jnp.sum(m * m, axis=1)  # (K_b (kappa - kappa_0))^2
-        stiff = jnp.where(rigidity == 0, 1.0, rigidity)
+        # Not the square of K_b kappa, nor K_b E_b, which single precision may not hold.
+        bent = m / jnp.where(rigidity == 0, 1.0, rigidity)[:, None]
+        joint = rigidity * jnp.sum(bent * bent, axis=1)
         fibre = chain.fibre_of_bead
         member = (fibre[:-1] == np.arange(len(chain.fibres))[:, None]) & chain.bond_mask
-        energy = member.astype(float) @ (square / stiff)
+        energy = member.astype(float) @ joint
         most = jnp.max(rigidity[None, :], axis=1, where=member, initial=0.0)  # of each fibre
-        scale = jnp.sqrt(jnp.where(energy == 0, 1.0, most * energy / chain.length**3))
+        scale = most / chain.length**2 * (energy / chain.length)
+        scale = jnp.sqrt(jnp.where(energy == 0, 1.0, scale))
         scale = self.repulsion.viscous + self.repulsion.elastic * jnp.where(energy == 0, 0.0, scale)
         d = bonds(state.position)
         gap = norm(d) - chain.radii[:-1] - chain.radii[1:]
@@ -169,5 +171,5 @@ class JointBending(AbstractForce):
         beads, whose fastest rate is about 4 (K_b / l) / (8 pi mu a^3)."""
         most = stiffest(self.rigidity, chain.bond_mask)
         radius = jnp.min(chain.radius)
-        step = viscosity * radius**3 * 2 * (radius + chain.gap)
-        return jnp.where(most == 0, jnp.inf, step / jnp.where(most == 0, 1.0, most) * 1.5)
+        step = viscosity * radius**2 / jnp.where(most == 0, 1.0, most)
+        return jnp.where(most == 0, jnp.inf, step * radius * 3 * (radius + chain.gap))

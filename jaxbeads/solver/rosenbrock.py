@@ -136,8 +136,15 @@ class Rosenbrock(diffrax.AbstractAdaptiveSolver):
             """(I - h W/4) u."""
             return u - h * _GAMMA * along(u)
 
-        matrix = jnp.eye(len(x0), dtype=x0.dtype) - h * _GAMMA * about.jacobian
-        solve = _factorised(implicit, matrix)
+        # In units of their own: the pivots of lengths and angles must not depend on the unit of length.
+        units = lax.stop_gradient(chart.units)
+        scaled = about.jacobian * ((h * _GAMMA / units)[:, None] * units[None, :])
+        matrix = jnp.eye(len(x0), dtype=x0.dtype) - scaled
+        solve_scaled = _factorised(lambda u: implicit(units * u) / units, matrix)
+
+        def solve(rhs: Array) -> Array:
+            return units * solve_scaled(rhs / units)
+
         drift = h * h * about.drift
 
         def stage(us: Array, row: tuple[Array, ...]) -> tuple[Array, None]:

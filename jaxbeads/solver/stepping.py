@@ -269,6 +269,11 @@ def substeps_for(scene: Scene, ts: Any, step: float | None = None) -> int:
             "Argument `substeps` must be given, but it is None and the scene has no bending rigidity "
             "from which a time step would follow."
         )
-    steps = max(1, int(np.ceil(float(np.max(np.diff(ts))) / limit * (1 - 1e-9))))
+    gap, times = float(np.max(np.diff(ts))), 1.0 * np.asarray(ts)
+    # What rounding adds to a whole number of steps, of the times or of the step, is no step.
+    slack = 4 * float(np.spacing(np.max(np.abs(times)))) / gap + 10 * float(
+        jnp.finfo(times.dtype).eps
+    )
+    steps = max(1, int(np.ceil(gap / limit * (1 - max(1e-9, slack)))))
     block = int(np.sqrt(steps))  # a number that `FixedSteps` can cut into blocks
     return -(-steps // block) * block

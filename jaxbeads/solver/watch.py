@@ -42,6 +42,8 @@ def _interpolation() -> np.ndarray:
 
 
 _MATRIX = _interpolation()
+
+
 def _after(t: Array) -> Array:
     """The next instant but one."""
     return jnp.nextafter(jnp.nextafter(t, jnp.inf), jnp.inf)
@@ -62,8 +64,8 @@ class Watch(NamedTuple):
     """What depends on the place as well, in ways that are not known to be smooth."""
 
     def end(self, t0: Array, t1: Array, gap: Array) -> tuple[Array, Array]:
-        """The last instant before the terms switch, and one just after it; where they do not, t1 twice, or
-        an earlier instant if a step to t1 could not be sampled well enough."""
+        """The last instant before the terms switch, and one just after it; where they do not, t1 twice,
+        or an earlier instant if a step to t1 could not be sampled well enough."""
         if self.timed is None and self.placed is None:
             return t1, t1
         t1 = jnp.minimum(t1, t0 + _SAMPLES / 2 * gap)
