@@ -6,10 +6,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jax.extend.core import Literal
 from jaxtyping import Array, Float
 
 from ._checks import fail
+from ._compat import Literal
 from .coordinates import Coordinates
 from .dynamics import (
     applied_load,

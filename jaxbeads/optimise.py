@@ -98,7 +98,7 @@ class _Problem(eqx.Module):
             slope, walk.memory, walk.z, value=value, grad=slope, value_fn=lambda z: merit(z)[0]
         )
         z = optax.apply_updates(walk.z, change)
-        norm = optax.tree.norm(slope)
+        norm = jnp.sqrt(sum(jnp.sum(x**2) for x in jax.tree.leaves(slope)))
         return _Walk(z, memory, walk.multipliers, walk.weight), (loss, norm, off)
 
     def correct(self, walk: _Walk) -> _Walk:

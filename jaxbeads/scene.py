@@ -7,10 +7,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from ._checks import described, fail, finite, kind, positive, shape
+from ._compat import Tracer
 from ._typing import float_array
 from .chain import Chain
 from .constraint import AbstractConstraint, Joint
