@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from . import elimination
+from . import plain
 from ._compat import CALLS_OF_KNOWN_COST, HAS_RULES, custom_vmap, working_potrf
 from .loops import equal_parts
 
@@ -107,7 +107,7 @@ def cholesky(
 
     potrf = working_potrf() if HAS_RULES else None
     if potrf is None:
-        return _safe(general, elimination.cholesky)(matrix)
+        return _safe(general, plain.cholesky)(matrix)
     return lax.platform_dependent(matrix, cpu=potrf, default=general)
 
 
@@ -122,7 +122,7 @@ def lu(matrix: Float[Array, "*stack n n"]) -> tuple[Float[Array, "*stack n n"], 
         factor, _, order = lax.linalg.lu(matrix)
         return factor, order
 
-    return _safe(lapack, elimination.lu)(matrix)
+    return _safe(lapack, plain.lu)(matrix)
 
 
 lu.def_vmap(_stacks(lu, lambda matrix: matrix.shape[-1] ** 3))
@@ -131,7 +131,7 @@ lu.def_vmap(_stacks(lu, lambda matrix: matrix.shape[-1] ** 3))
 def _triangular_solve(**options: bool) -> Callable[[Array, Array], Array]:
     return _safe(
         partial(lax.linalg.triangular_solve, left_side=True, **options),
-        partial(elimination.triangular_solve, **options),
+        partial(plain.triangular_solve, **options),
     )
 
 
