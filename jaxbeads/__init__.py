@@ -5,6 +5,8 @@ Pure functions of equinox Modules that only hold parameters: build a `Scene`, gi
 Plouraboué, J. Comput. Phys. 286 (2015) 14-37.
 """
 
+from importlib import metadata as _metadata
+
 from . import actuation as actuation
 from . import constraint as constraint
 from . import dynamics as dynamics
@@ -45,3 +47,8 @@ from .steady import SteadyState as SteadyState
 from .steady import steady_state as steady_state
 from .sweep import sweep as sweep
 from .vary import vary as vary
+
+try:
+    __version__ = _metadata.version("jaxbeads")
+except _metadata.PackageNotFoundError:  # a checkout that is not installed
+    __version__ = "0+unknown"

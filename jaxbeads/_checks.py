@@ -8,7 +8,8 @@ from typing import Any, NoReturn
 
 import jax
 import numpy as np
-from jax.core import Tracer
+
+from ._compat import Tracer
 
 
 def known(value: Any) -> bool:

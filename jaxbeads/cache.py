@@ -4,9 +4,9 @@ import os
 from pathlib import Path
 
 import jax
-from jax.experimental.compilation_cache import compilation_cache
 
 from ._checks import fail
+from ._compat import forget_cache
 
 
 def enable_cache(folder: str | os.PathLike[str] | None = None) -> Path:
@@ -32,5 +32,5 @@ def enable_cache(folder: str | os.PathLike[str] | None = None) -> Path:
     jax.config.update("jax_compilation_cache_dir", str(path))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
-    compilation_cache.reset_cache()  # it may have been asked for before, in vain
+    forget_cache()  # it may have been asked for before, in vain
     return path

@@ -15,11 +15,11 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 from jax import lax
-from jax.experimental import multihost_utils
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array
 
 from ._checks import fail
+from ._compat import meet, over_devices
 from .loops import equal_parts
 
 Points = dict[str, np.ndarray]
@@ -83,7 +83,7 @@ def all_members(
                 parts[index] = part
                 bar.update(len(part.code))
         if workers > 1:
-            multihost_utils.sync_global_devices("the chunks of a sweep")
+            meet("the chunks of a sweep")
     except KeyboardInterrupt:
         if not parts:
             raise
@@ -99,7 +99,7 @@ def _runs(
     total, devices = len(next(iter(points.values()))), devices[: max(len(mine), 1)]
     spec = PartitionSpec("chunks")
     mesh = Mesh(np.array(devices), ("chunks",))
-    run = jax.jit(jax.shard_map(every, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False))
+    run = over_devices(every, mesh, spec)
     groups = [list(mine[k : k + len(devices)]) for k in range(0, len(mine), len(devices))]
 
     def started(group: list[int]) -> Measured:

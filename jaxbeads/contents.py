@@ -22,7 +22,8 @@ from typing import Any
 
 import equinox as eqx
 import numpy as np
-from jax.core import Tracer
+
+from ._compat import Tracer
 
 _PACKAGES = {"jax", "jaxlib", "numpy", "equinox", "diffrax", "optimistix", "lineax", "optax"}
 _PACKAGES |= {__name__.partition(".")[0]}

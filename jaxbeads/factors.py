@@ -10,15 +10,14 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
-from jax.custom_batching import custom_vmap
-from jaxlib.lapack import prepare_lapack_call
 from jaxtyping import Array, Bool, Float
 
+from . import plain
+from ._compat import CALLS_OF_KNOWN_COST, HAS_RULES, custom_vmap, working_potrf
 from .loops import equal_parts
 
-_OPERATIONS = 150_000 if jax.__version_info__ < (0, 11) else 0
+_OPERATIONS = 150_000 if CALLS_OF_KNOWN_COST else 0
 Operations = Callable[..., int]
 """Those of one member, from all members' stacks."""
 
@@ -29,12 +28,12 @@ def at_once(operations: int) -> int:
     Calls with more than 200 000 operations in all (jaxlib 0.10) share their work out to the threads that
     run the program itself; as many of them at once as there are threads wait for each other for ever.
     Smaller ones are done where they are called, one matrix after the other. More cores are used by more
-    devices, see `sweep`. Of later versions nothing is known: one matrix in a call.
+    devices, see `sweep`. Where nothing is known of them (`CALLS_OF_KNOWN_COST`): one matrix in a call.
     """
     return max(1, _OPERATIONS // max(operations, 1))
 
 
-def _calls(function: custom_vmap, operations: Operations, *stacks: Array) -> Any:
+def _calls(function: Any, operations: Operations, *stacks: Array) -> Any:
     """A function of members, the first axis: on a CPU as many in a call as may be, elsewhere all."""
     members = len(stacks[0])
     group = equal_parts(members, at_once(operations(*stacks)))
@@ -50,7 +49,7 @@ def _calls(function: custom_vmap, operations: Operations, *stacks: Array) -> Any
     return lax.platform_dependent(*stacks, cpu=in_turn, default=function.fun)
 
 
-def _stacks(function: custom_vmap, operations: Operations) -> Callable[..., Any]:
+def _stacks(function: Any, operations: Operations) -> Callable[..., Any]:
     """The rule of a function for members: they and the stack that there is make one stack."""
 
     def rule(size: int, batched: list[bool], *several: Array) -> tuple[Any, Any]:
@@ -67,7 +66,8 @@ def _stacks(function: custom_vmap, operations: Operations) -> Callable[..., Any]
 
 
 def diagonal(matrix: Float[Array, "n n"]) -> Float[Array, " n"]:
-    """The diagonal, as a slice: `jnp.diagonal` gathers, which XLA takes for a pass over the whole."""
+    """The diagonal."""
+    # XLA: a slice, since `jnp.diagonal` gathers, which it takes for a pass over the whole.
     return matrix.T.ravel()[:: len(matrix) + 1]
 
 
@@ -76,19 +76,19 @@ def symmetric(upper: Float[Array, "n n"]) -> Float[Array, "n n"]:
     return jnp.triu(upper) + jnp.triu(upper, 1).T
 
 
-def _potrf(matrix: Array) -> tuple[Array, Array]:
-    # What `lax.linalg.cholesky` calls, without its copy of the matrix before and its pass over the
-    # factor after it: these take as long as the factorisation where XLA cuts them for two threads.
-    target = prepare_lapack_call("potrf_ffi", matrix.dtype)
-    result = (
-        jax.ShapeDtypeStruct(matrix.shape, matrix.dtype),
-        jax.ShapeDtypeStruct(matrix.shape[:-2], jnp.int32),
-    )
-    # The rule of `cholesky` comes first: `vmap` meets this call only in branches for other platforms.
-    call = jax.ffi.ffi_call(target, result, vmap_method="broadcast_all")
-    factor, failed = call(matrix, uplo=np.uint8(ord("L")))
-    # Negative is no failure: it takes a matrix without rows for a mistake.
-    return jnp.swapaxes(factor, -1, -2), failed <= 0
+def _safe(lapack: Callable[..., Any], plain: Callable[..., Any]) -> Callable[..., Any]:
+    """The function that calls LAPACK; on CPUs the one in plain arithmetic where no rule keeps calls
+    small."""
+    if HAS_RULES:
+        return lapack
+
+    def each(*stacks: Array) -> Any:
+        function = plain
+        for _ in range(stacks[0].ndim - 2):
+            function = jax.vmap(function)
+        return function(*stacks)
+
+    return lambda *stacks: lax.platform_dependent(*stacks, cpu=each, default=lapack)
 
 
 @custom_vmap
@@ -105,7 +105,10 @@ def cholesky(
         pivots = jnp.diagonal(factor, axis1=-2, axis2=-1)
         return factor, jnp.all(jnp.isfinite(pivots), axis=-1)
 
-    return lax.platform_dependent(matrix, cpu=_potrf, default=general)
+    potrf = working_potrf() if HAS_RULES else None
+    if potrf is None:
+        return _safe(general, plain.cholesky)(matrix)
+    return lax.platform_dependent(matrix, cpu=potrf, default=general)
 
 
 cholesky.def_vmap(_stacks(cholesky, lambda matrix: matrix.shape[-1] ** 3 // 3))
@@ -114,11 +117,22 @@ cholesky.def_vmap(_stacks(cholesky, lambda matrix: matrix.shape[-1] ** 3 // 3))
 @custom_vmap
 def lu(matrix: Float[Array, "*stack n n"]) -> tuple[Float[Array, "*stack n n"], Array]:
     """L and U in one matrix, and the order of the rows: matrix[order] = L U."""
-    factor, _, order = lax.linalg.lu(matrix)
-    return factor, order
+
+    def lapack(matrix: Array) -> tuple[Array, Array]:
+        factor, _, order = lax.linalg.lu(matrix)
+        return factor, order
+
+    return _safe(lapack, plain.lu)(matrix)
 
 
 lu.def_vmap(_stacks(lu, lambda matrix: matrix.shape[-1] ** 3))
+
+
+def _triangular_solve(**options: bool) -> Callable[[Array, Array], Array]:
+    return _safe(
+        partial(lax.linalg.triangular_solve, left_side=True, **options),
+        partial(plain.triangular_solve, **options),
+    )
 
 
 def triangular_solve(
@@ -132,7 +146,7 @@ def triangular_solve(
     """Solution of T x = rhs, or T^T x = rhs, with a triangle T of a matrix, with ones on its diagonal if
     `unit`."""
     options = {"lower": lower, "transpose_a": transposed, "unit_diagonal": unit}
-    solve = partial(lax.linalg.triangular_solve, left_side=True, **options)
+    solve = _triangular_solve(**options)
     return _columns(solve)(factor, rhs[:, None])[:, 0]
 
 
@@ -140,7 +154,7 @@ def triangular_solve(
 def inverse_of_triangle(factor: Float[Array, "*stack n n"]) -> Float[Array, "*stack n n"]:
     """L^-1 of a lower triangle."""
     unit = jnp.broadcast_to(jnp.eye(factor.shape[-1], dtype=factor.dtype), factor.shape)
-    return lax.linalg.triangular_solve(factor, unit, left_side=True, lower=True)
+    return _triangular_solve(lower=True)(factor, unit)
 
 
 inverse_of_triangle.def_vmap(_stacks(inverse_of_triangle, lambda factor: factor.shape[-1] ** 3))
@@ -150,10 +164,8 @@ def cholesky_solve(factor: Float[Array, "n n"], rhs: Float[Array, " n"]) -> Floa
     """Solution of L L^T x = rhs."""
 
     def solve(factor: Array, rhs: Array) -> Array:
-        half = lax.linalg.triangular_solve(factor, rhs, left_side=True, lower=True)
-        return lax.linalg.triangular_solve(
-            factor, half, left_side=True, lower=True, transpose_a=True
-        )
+        half = _triangular_solve(lower=True)(factor, rhs)
+        return _triangular_solve(lower=True, transpose_a=True)(factor, half)
 
     return _columns(solve)(factor, rhs[:, None])[:, 0]
 

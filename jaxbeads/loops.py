@@ -4,12 +4,12 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
-import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jax.ad_checkpoint import checkpoint_name
-from jaxtyping import PyTree
+from jaxtyping import Array, PyTree
+
+from ._compat import named, while_loop
 
 _SECOND = (
     "Second derivatives through adaptive steps: give the number of steps (`substeps`) instead."
@@ -21,7 +21,7 @@ _KEPT = "kept"
 
 def keep(values: PyTree) -> PyTree:
     """The values, which the backward pass of a `checkpointed` step shall not compute again."""
-    return checkpoint_name(values, _KEPT)
+    return named(values, _KEPT)
 
 
 def checkpointed(step: Callable[..., Any]) -> Callable[..., Any]:
@@ -47,21 +47,19 @@ def loop(
     return _loop(start, fixed, unfinished=unfinished, body=body, most=most)
 
 
-def _while(
-    start: PyTree, fixed: PyTree, unfinished: Any, body: Any, most: int, kind: Any
-) -> PyTree:
-    return eqxi.while_loop(
-        lambda carry: unfinished(carry, fixed),
-        lambda carry: body(carry, fixed),
-        start,
-        max_steps=most,
-        kind=kind,
-    )
+@jax.custom_jvp
+def _once_differentiable(x: Array) -> Array:
+    return x
+
+
+@_once_differentiable.defjvp
+def _refuse(*_: Any) -> Any:
+    raise RuntimeError(_SECOND)
 
 
 @eqx.filter_custom_jvp
 def _loop(start: PyTree, fixed: PyTree, *, unfinished: Any, body: Any, most: int) -> PyTree:
-    return _while(start, fixed, unfinished, body, most, "lax")
+    return while_loop(unfinished, body, start, fixed, most, "lax")
 
 
 @_loop.def_jvp
@@ -81,7 +79,7 @@ def _loop_jvp(primals: Any, tangents: Any, *, unfinished: Any, body: Any, most: 
     def end(numbers: PyTree, kind: Any) -> PyTree:
         """The numbers in the last carry."""
         start, fixed = eqx.combine(numbers, rest)
-        last = _while(start, fixed, unfinished, body, most, kind)
+        last = while_loop(unfinished, body, start, fixed, most, kind)
         return eqx.filter(last, eqx.is_inexact_array)
 
     result = _loop(*primals, unfinished=unfinished, body=body, most=most)
@@ -97,7 +95,7 @@ def _loop_jvp(primals: Any, tangents: Any, *, unfinished: Any, body: Any, most: 
         return moved, jax.tree.map(jnp.zeros_like, pair[1])
 
     def itself(pair: Any) -> Any:
-        marks = [eqxi.nondifferentiable(x, msg=_SECOND) for x in jax.tree.leaves(numbers)]
+        marks = [_once_differentiable(x) for x in jax.tree.leaves(numbers)]
         one = 1 + 0 * sum(jnp.sum(mark) for mark in marks)
         return jax.tree.map(lambda x: (one * x).astype(x.dtype), pair)
 

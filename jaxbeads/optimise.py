@@ -169,7 +169,7 @@ class _Problem(eqx.Module):
             grad=at.gradient,
             value_fn=lambda z: self.merit(z, walk.terms)[0],
         )
-        fall = jnp.asarray(optax.tree.vdot(change, at.gradient))
+        fall = jnp.asarray(_dot(change, at.gradient))
         rounding = jnp.finfo(at.value.dtype).eps * jnp.abs(at.value)
         stuck = jnp.logical_and(self.searching, ~(fall < -rounding))
         z = optax.apply_updates(walk.z, change)
@@ -181,7 +181,7 @@ class _Problem(eqx.Module):
     def norms(self, walk: _Walk, at: _Slope) -> Array:
         """Norm of the gradient by each array of values."""
         whole = jax.tree.map(unbound, at.gradient, walk.z, self.lower, self.upper)
-        return jnp.stack([optax.tree.norm(g) for g in jax.tree.leaves(whole)])
+        return jnp.stack([jnp.linalg.norm(jnp.ravel(g)) for g in jax.tree.leaves(whole)])
 
     def report(self, walk: _Walk, at: _Slope, *, tolerance: float) -> tuple[Array, ...]:
         """Loss, norm of the gradient and violation; whether the gradient has vanished."""
@@ -190,7 +190,7 @@ class _Problem(eqx.Module):
         least = jnp.maximum(tolerance * largest, NOISE * jnp.maximum(1.0, jnp.max(largest)))
         off = jnp.max(jnp.abs(at.constraints), initial=0.0)
         done = jnp.all((norms < least) | (norms == 0))
-        return at.loss, walk.terms.units.loss * optax.tree.norm(norms), off, done
+        return at.loss, walk.terms.units.loss * jnp.linalg.norm(norms), off, done
 
     def correct(self, walk: _Walk) -> _Walk:
         """Multipliers of the augmented Lagrangian after a round of steps."""
@@ -359,6 +359,11 @@ def optimise(
     history = History(losses, norms, off, seconds)
     values = run.values(problem, best, walk.terms.units)
     return Optimum(values, last, violation, history, jnp.asarray(ending, jnp.int32))
+
+
+def _dot(a: PyTree, b: PyTree) -> Array:
+    """Inner product of two trees."""
+    return jnp.asarray(sum(map(jnp.vdot, jax.tree.leaves(a), jax.tree.leaves(b))))
 
 
 def _pick(better: Any, new: PyTree, old: PyTree) -> PyTree:

@@ -34,8 +34,8 @@ def separations(
     to: Float[Array, "to dim"], of: Float[Array, "of dim"]
 ) -> list[Float[Array, "to of"]]:
     """r_i - r_j, one field for each component."""
-    # Products, not broadcasts: their derivatives in reverse are products with ones, which XLA does not
-    # merge with what makes the fields (it would make them once for each bead).
+    # XLA: products, not broadcasts. Their derivatives in reverse are products with ones, which it does
+    # not merge with what makes the fields (it would make them once for each bead).
     row, column = jnp.ones((1, len(of)), of.dtype), jnp.ones((len(to), 1), to.dtype)
     return [x[:, None] @ row - column @ y[None, :] for x, y in zip(to.T, of.T, strict=True)]
 
@@ -55,7 +55,7 @@ def pair_sums(fields: Callable[[Any, Any], Sequence[Field]], beads: PyTree) -> l
     row for each bead, of which it gets some. **Returns** an array of numbers for each field.
     """
     number = len(jax.tree.leaves(beads)[0])
-    # A product with ones sums faster than `sum`.
+    # XLA: a product with ones sums faster than `sum`.
     ones = jnp.ones(number, jax.tree.leaves(beads)[0].dtype)
 
     def block(to: PyTree) -> list[Array]:

@@ -11,8 +11,9 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax.extend.core import ClosedJaxpr, Literal
 from jaxtyping import Array, Float
+
+from ._compat import Literal
 
 # Steps that hold a program which is run once, as it stands.
 _CALLS = {
@@ -81,7 +82,7 @@ def _walk(program: Any, consts: Any, arguments: list[_Known], found: list[Array]
         name = step.primitive.name
         inner = next((step.params[n] for n in _INNER if n in step.params), None)
         if name in _CALLS and inner is not None:
-            closed = isinstance(inner, ClosedJaxpr)
+            closed = hasattr(inner, "jaxpr")
             body, extra = (inner.jaxpr, inner.consts) if closed else (inner, ())
             results = _walk(body, extra, given, found)
         else:

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ._checks import described, fail, increasing, positive, whole
+from ._compat import CompileClock
 from ._typing import float_array
 from .breakdown import SimulationError, bond_error, explain, locate
 from .contents import Contents
@@ -39,42 +40,15 @@ _advance = eqx.filter_jit(advance)
 _init = eqx.filter_jit(lambda stepper, *args: stepper.init(*args))
 _diagnostics = eqx.filter_jit(diagnostics)
 
-_COMPILING = (
-    "/jax/core/compile/jaxpr_trace_duration",
-    "/jax/core/compile/jaxpr_to_mlir_module_duration",
-    "/jax/core/compile/backend_compile_duration",
-)
-
-
-class _Listener:
-    """Seconds that JAX has spent tracing, lowering and compiling since it was first asked."""
-
-    def __init__(self) -> None:
-        self.seconds = 0.0
-        self.listening = False
-
-    def read(self) -> float:
-        if not self.listening:
-            jax.monitoring.register_event_duration_secs_listener(self._listen)
-            self.listening = True
-        return self.seconds
-
-    def _listen(self, event: str, duration_secs: float, **_: str | int) -> None:
-        if event in _COMPILING:
-            self.seconds += duration_secs
-
-
-_compiling = _Listener()
-
 
 class _Clock:
     """Wall time and compile time since its making."""
 
     def __init__(self) -> None:
-        self.wall, self.compiling = time.perf_counter(), _compiling.read()
+        self.wall, self.compiling = time.perf_counter(), CompileClock()
 
     def read(self) -> tuple[float, float]:
-        return time.perf_counter() - self.wall, _compiling.read() - self.compiling
+        return time.perf_counter() - self.wall, self.compiling.read()
 
 
 def _chunk_length(intervals: int, wanted: int | None) -> int:
@@ -298,8 +272,8 @@ class _Run:
         self, carry: Carry, done: int, count: int, parts: list[Solution], clock: _Clock
     ) -> tuple[Carry, Solution]:
         """One chunk, checked and written."""
-        # One compiled program for one interval: in loops of other lengths XLA rounds differently, and
-        # a run would depend on its chunks.
+        # XLA: one compiled program for one interval. In loops of other lengths it rounds differently: a
+        # run would depend on its chunks.
         ts, after, each = np.asarray(self.ts), carry, []
         for index in range(done, done + count):
             after, state = _advance(self.stepper, self.scene, after, ts[index : index + 2])

@@ -34,7 +34,7 @@ def _root(square: Field) -> Field:
 def _root_jvp(primals: tuple[Field], tangents: tuple[Field]) -> tuple[Field, Field]:
     root = _root(*primals)
     zero = root == 0
-    # A division, as in `_coefficients`: in reverse, all that depends on r is summed once.
+    # XLA: a division, as in `_coefficients`: in reverse, all that depends on r is summed once.
     return root, jnp.where(zero, 0.0, tangents[0]) / jnp.where(zero, 1.0, 2 * root)
 
 
@@ -145,7 +145,7 @@ def _coefficients(
     """The coefficients of each pair, of separations in units of a length."""
     s, factors = _separation(vector), _factors(length)
     k = _unequal(s, *radii, factors) if isinstance(radii, tuple) else _equal(s, factors)
-    # Each ends in a division: XLA on the CPU computes what looks cheap anew wherever it is read, but
+    # XLA: each ends in a division; on the CPU it computes what looks cheap anew wherever it is read, but
     # never a division.
     tt1, tt2, tr, rt, rr1, rr2 = (x / viscosity for x in k)
     return _Scalars(tt1, tt2, tr, tr if k.rt is k.tr else rt, rr1, rr2)

@@ -86,7 +86,8 @@ def test_calls_stay_small(solve, made, size):
     a, rhs = made(40, 30, size=size), np.ones((40, 30, size))
     several, shared = shared_out(jax.vmap(jax.vmap(solve)), a, rhs)
     assert not shared
-    assert several or size == 100  # one such matrix is too much already
+    # One matrix of 100 rows is too much already.
+    assert (several > 0) == (CALLS_OF_KNOWN_COST and size < 100)
     # What this would find:
     assert shared_out(jax.vmap(jnp.linalg.cholesky), a[0])[1] or size == 5
 
@@ -105,7 +106,8 @@ def test_calls_stay_small_with_many_columns(solve, made, inner):
 
 
 def test_parts():
-    assert at_once(38**3 // 3) == 8 and at_once(10**9) == 1 and at_once(0) >= 1000
+    most = [at_once(n) for n in (38**3 // 3, 10**9, 0)]
+    assert most == ([8, 1, 150_000] if CALLS_OF_KNOWN_COST else [1, 1, 1])
     assert [equal_parts(*x) for x in [(16, 10), (15, 8), (7, 4), (5, 100), (5, 0)]] == [
         8,
         5,
@@ -127,7 +129,7 @@ def test_calls_stay_small_in_a_batch_of_runs(solver):
     end = jb.vary(end, case.scene, lambda scene: scene.viscosity)
     values = jnp.linspace(1.0, 1.2, 1000)
     several, shared = shared_out(jax.vmap(end), values)
-    assert several
+    assert (several > 0) == CALLS_OF_KNOWN_COST
     assert not shared
     if isinstance(solver, jb.AB3):
         assert not shared_out(jax.vmap(jax.grad(end)), values)[1]

@@ -13,6 +13,8 @@ PACKAGE = Path(jaxbeads.__file__).parent
 
 # A module imports from earlier rows only (and, in a row, what `base` modules allow).
 ORDER = [
+    {"plain"},
+    {"_compat"},
     {"_typing", "_checks", "loops", "programs"},
     {"_functions"},
     {"factors", "iterations", "units"},

@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Float
 
+from .._compat import custom_vmap, hidden
 from ..chain import Chain
 from ..geometry import bond_lengths, bonds, unit
 from ..pairs import PairTensor
@@ -121,9 +121,9 @@ def regular(block: Array, mask: np.ndarray, scale: Array | None) -> Array:
 def kept(function: Difference, one: Array) -> Difference:
     """As `function`, whose result is kept for all that reads it; `one` is a 1 that XLA does not know.
 
-    XLA on the CPU computes what looks cheap anew wherever it is read, but never a quotient; that by a
-    number of each member, side by side with others, it makes a product first. There the field that goes
-    in is kept: less to compute again, and less to write.
+    XLA: on the CPU it computes what looks cheap anew wherever it is read, but never a quotient; that by
+    a number of each member, side by side with others, it makes a product first. There the field that
+    goes in is kept: less to compute again, and less to write.
     """
 
     @custom_vmap
@@ -139,9 +139,9 @@ def kept(function: Difference, one: Array) -> Difference:
 
 def empty(size: int, dtype: Any) -> Array:
     """A square matrix to be filled by `place`."""
-    # The barrier hides the zeros: XLA would pad the first block to the whole, number by number, which
+    # XLA: hides the zeros, with which it would pad the first block to the whole, number by number; that
     # takes several times as long as any other block.
-    return lax.optimization_barrier(jnp.zeros((size, size), dtype))
+    return hidden(jnp.zeros((size, size), dtype))
 
 
 def place(matrix: Array, block: Array, row: int, column: int) -> Array:
