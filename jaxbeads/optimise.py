@@ -16,18 +16,19 @@ from jaxtyping import Array, PyTree
 
 from ._checks import described, fail, finite, kind, known, positive, whole
 from ._typing import float_array
-from .units import NOISE, Units, free, inside, reach, reached, shown, unbound
+from .units import NOISE, Units, bounds_of, free, inside, own, reach, reached, shown, unbound
 
 _ROUND = 20  # steps between two corrections of the multipliers
-_WEIGHT = 100.0  # of the square of the constraint in the first of them
+_WEIGHT = 100.0  # of the square of the constraint in the first of them, in units
+_OWN_WEIGHT = 10.0  # the same for an optimiser that is given
 _PROBES = 20  # trials of how far a start of zeros may go
 _ROWS = 32  # constraints whose units are found one by one
 
 
 class History(eqx.Module):
     """What happened in each step: `loss`, `gradient_norm` (of the loss, or with a constraint of the
-    augmented Lagrangian, by the values in their units: a change of the loss), `violation` (largest
-    absolute value of the constraint), `(steps,)` or `(steps, starts)`; `time` [s].
+    augmented Lagrangian, by the free values), `violation` (largest absolute value of the constraint),
+    `(steps,)` or `(steps, starts)`; `time` [s]. Free values of the default optimiser are parts of units.
     """
 
     loss: np.ndarray
@@ -103,12 +104,13 @@ class _Problem(eqx.Module):
     constraint: Callable[[PyTree], Array] | None = eqx.field(static=True)
     optimiser: optax.GradientTransformationExtraArgs = eqx.field(static=True)
     searching: bool = eqx.field(static=True)
-    """Whether the optimiser takes no step that does not lower the merit."""
+    """Whether it is the default optimiser, which is asked in units and searches for what is lower."""
     lower: PyTree
     upper: PyTree
 
     def values(self, z: PyTree, units: Units) -> PyTree:
         """Values within their bounds from free ones."""
+        z = jax.tree.map(jnp.divide, z, units.free)
         return jax.tree.map(inside, z, self.lower, self.upper, units.values)
 
     def both(self, z: PyTree, units: Units) -> tuple[Array, Array]:
@@ -136,8 +138,8 @@ class _Problem(eqx.Module):
         """Terms that make the loss itself the merit of the values themselves."""
         ones = jax.tree.map(jnp.ones_like, start)
         one, zero = jnp.ones((), float), jnp.zeros((), float)
-        size = jax.eval_shape(self.both, start, Units(ones, one, one))[1].size
-        return _Terms(jnp.zeros(size), zero, Units(ones, one, jnp.ones(size)))
+        size = jax.eval_shape(self.both, start, Units(ones, ones, one, one, one))[1].size
+        return _Terms(jnp.zeros(size), zero, Units(ones, ones, one, jnp.ones(size), one))
 
     def begin(self, start: PyTree, at: _Slope, rows: list[PyTree], part: Array) -> _Walk:
         """Where the walk starts, from loss and constraints there and their gradients."""
@@ -149,9 +151,13 @@ class _Problem(eqx.Module):
             slopes = jax.tree.map(lambda x, g: x.at[0].set(g), slopes, rows[0])
         far = reach(start, self.lower, self.upper, at.loss, at.gradient, part)
         units = shown(start, self.lower, self.upper, at.loss, at.constraints, slopes, far)
+        weight = _WEIGHT
+        if not self.searching:
+            units, weight = own(units, self.lower, self.upper), _OWN_WEIGHT
         z = jax.tree.map(free, start, self.lower, self.upper, units.values)
+        z = jax.tree.map(jnp.multiply, z, units.free)
         largest = jnp.zeros(len(jax.tree.leaves(z)))
-        terms = _Terms(jnp.zeros(count), jnp.full((), _WEIGHT, float), units)
+        terms = _Terms(jnp.zeros(count), jnp.full((), weight, float), units)
         return _Walk(z, self.fresh(z), terms, largest)
 
     def fresh(self, z: PyTree) -> Any:
@@ -180,14 +186,16 @@ class _Problem(eqx.Module):
 
     def norms(self, walk: _Walk, at: _Slope) -> Array:
         """Norm of the gradient by each array of values."""
-        whole = jax.tree.map(unbound, at.gradient, walk.z, self.lower, self.upper)
+        z = jax.tree.map(jnp.divide, walk.z, walk.terms.units.free)
+        whole = jax.tree.map(unbound, at.gradient, z, self.lower, self.upper)
         return jnp.stack([jnp.linalg.norm(jnp.ravel(g)) for g in jax.tree.leaves(whole)])
 
     def report(self, walk: _Walk, at: _Slope, *, tolerance: float) -> tuple[Array, ...]:
         """Loss, norm of the gradient and violation; whether the gradient has vanished."""
         norms = self.norms(walk, at)
         largest = jnp.maximum(walk.largest, norms)
-        least = jnp.maximum(tolerance * largest, NOISE * jnp.maximum(1.0, jnp.max(largest)))
+        size = walk.terms.units.size / walk.terms.units.loss
+        least = jnp.maximum(tolerance * largest, NOISE * jnp.maximum(size, jnp.max(largest)))
         off = jnp.max(jnp.abs(at.constraints), initial=0.0)
         done = jnp.all((norms < least) | (norms == 0))
         return at.loss, walk.terms.units.loss * jnp.linalg.norm(norms), off, done
@@ -223,6 +231,11 @@ class _Program:
         terms = self.over(_Problem.plain, 1)(at_large, start)
         at = self.slope(at_large, start, terms)
         count, rows = at.constraints.shape[-1], [at.gradient]
+        if not self.problem.searching:
+            rows += [jax.tree.map(jnp.zeros_like, at.gradient)] * count
+            return self.over(_Problem.begin, 4)(
+                self.problem, start, at, rows, jnp.zeros_like(at.loss)
+            )
         signs = np.where(np.random.default_rng(0).random(count) < 0.5, -1.0, 1.0)
         for weights in np.eye(count) if count <= _ROWS else [signs]:
             multipliers = jnp.broadcast_to(jnp.asarray(weights), at.constraints.shape)
@@ -275,10 +288,10 @@ def optimise(
     constraint, such as a fixed power, is met by an augmented Lagrangian, whose multipliers are
     corrected every 20 steps. Ctrl-C, or a loss that is not finite, ends it with the best values so far.
 
-    The optimiser sees values, loss and constraints in units that the start shows (see `units.shown`), so
-    that the same problem in other units takes the same steps; learning rates are parts of these. Results
-    and history are in the units of the problem. An array of values has one unit: values of several kinds
-    are several arrays.
+    The default optimiser sees values, loss and constraints in units that the start shows (see
+    `units.shown`), so that the same problem in other units takes the same steps. An array of values has
+    one unit: values of several kinds are several arrays. An optimiser that is given sees them as they
+    are, because learning rates have units. Results and history are in the units of the problem.
 
     **Arguments**
 
@@ -307,7 +320,7 @@ def optimise(
     start = jax.tree.map(float_array, start)
     for leaf in jax.tree.leaves(start):
         finite("start", leaf)
-    lower, upper = _bounds(start, bounds, many)
+    lower, upper = bounds_of(start, bounds, many)
     extra = optax.with_extra_args_support(optimiser)
     problem = _Problem(loss, constraint, extra, searching, lower, upper)
     run = _Program(problem, many)
@@ -375,25 +388,6 @@ def _pick(better: Any, new: PyTree, old: PyTree) -> PyTree:
         )
 
     return jax.tree.map(one, new, old)
-
-
-def _bounds(start: PyTree, bounds: tuple[Any, Any] | None, many: bool) -> tuple[PyTree, PyTree]:
-    """Trees of lower and upper bounds as `start`, or as each of many."""
-    sides = (-np.inf, np.inf) if bounds is None else bounds
-    if len(sides) != 2:
-        fail("bounds", "be a pair (lower, upper)", f"it holds {len(sides)} things")
-    trees = []
-    for side in sides:
-        same = jax.tree.structure(side) == jax.tree.structure(start)
-        tree = side if same else jax.tree.map(lambda _, side=side: side, start)
-        trees.append(
-            jax.tree.map(lambda b, x: jnp.broadcast_to(float_array(b), x.shape[many:]), tree, start)
-        )
-    for x, low, high in zip(*map(jax.tree.leaves, (start, *trees)), strict=True):
-        x, low, high = (np.asarray(a) for a in (x, low, high))
-        if not np.all((low <= x) & (x <= high)):
-            fail("start", "lie within its bounds", f"{x} does not")
-    return trees[0], trees[1]
 
 
 def _write(file: str | Path, walk: Any, rows: list[list[Any]]) -> None:

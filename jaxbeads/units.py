@@ -1,10 +1,16 @@
 """Values, a loss and constraints in units that a start shows, and values within bounds as functions of
 free ones: what an optimiser sees does not depend on the units of the problem."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, PyTree
+
+from ._checks import fail
+from ._typing import float_array
 
 NOISE = 1e-12  # a gradient that is so much smaller than others, or than the loss, is none
 _LITTLE = 1e-7  # the part of a loss that is nothing to it
@@ -15,8 +21,31 @@ class Units(eqx.Module):
     """What the start shows of the problem's units: of each value, the loss, each constraint."""
 
     values: PyTree
+    free: PyTree
+    """Of the free values by which the values go; 1 for parts of values' units."""
     loss: Array
     constraints: Array
+    size: Array
+    """How large the loss is or how much it changes with the values, whichever is larger."""
+
+
+def bounds_of(start: PyTree, bounds: tuple[Any, Any] | None, many: bool) -> tuple[PyTree, PyTree]:
+    """Trees of lower and upper bounds as `start`, or as each of many."""
+    sides = (-np.inf, np.inf) if bounds is None else bounds
+    if len(sides) != 2:
+        fail("bounds", "be a pair (lower, upper)", f"it holds {len(sides)} things")
+    trees = []
+    for side in sides:
+        same = jax.tree.structure(side) == jax.tree.structure(start)
+        tree = side if same else jax.tree.map(lambda _, side=side: side, start)
+        trees.append(
+            jax.tree.map(lambda b, x: jnp.broadcast_to(float_array(b), x.shape[many:]), tree, start)
+        )
+    for x, low, high in zip(*map(jax.tree.leaves, (start, *trees)), strict=True):
+        x, low, high = (np.asarray(a) for a in (x, low, high))
+        if not np.all((low <= x) & (x <= high)):
+            fail("start", "lie within its bounds", f"{x} does not")
+    return trees[0], trees[1]
 
 
 def _size(x: Array, lower: Array, upper: Array) -> Array:
@@ -90,7 +119,23 @@ def shown(
     sizes = jnp.stack([jax.vmap(_norm)(rows) for rows in scaled])
     sizes = jnp.maximum(jax.vmap(_norm, 1)(sizes), jnp.abs(jnp.append(loss, constraints)))
     sizes = jnp.where(jnp.isfinite(sizes) & (sizes > 0), sizes, 1.0)
-    return Units(values, sizes[0], sizes[1:])
+    ones = jax.tree.map(jnp.ones_like, values)
+    return Units(values, ones, sizes[0], sizes[1:], sizes[0])
+
+
+def own(units: Units, lower: PyTree, upper: PyTree) -> Units:
+    """Units for an optimiser that is to see the problem as it is: 1, but for what keeps bounds."""
+
+    def one(unit: Array, lower: Array, upper: Array) -> Array:
+        return jnp.where(jnp.isfinite(lower) | jnp.isfinite(upper), unit, 1.0)
+
+    def single(unit: Array, lower: Array, upper: Array) -> Array:
+        return jnp.where(jnp.isfinite(lower) ^ jnp.isfinite(upper), unit, 1.0)
+
+    values = jax.tree.map(one, units.values, lower, upper)
+    free = jax.tree.map(single, values, lower, upper)
+    constraints = jnp.ones_like(units.constraints)
+    return Units(values, free, jnp.ones_like(units.loss), constraints, units.size)
 
 
 def _norm(x: Array) -> Array:
