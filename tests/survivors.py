@@ -148,7 +148,7 @@ def taken_away(names):
 
 
 if __name__ == "__main__":
-    for name in ("diffrax", "xarray"):  # while all is there
+    for name in ("diffrax", "optax", "xarray"):  # while all is there
         importlib.import_module(name)
     jax.config.update("jax_enable_x64", True)
     jax.config.update("jax_num_cpu_devices", 2)
