@@ -308,7 +308,7 @@ def outcome(run: Run) -> Outcome:
         return Outcome(
             False, True, None, None, None, 0 if at is None else int(at.steps), end, str(stop)
         )
-    wall = solution.wall_s - solution.compile_s
+    wall = float(solution.wall_s - solution.compile_s)
     path: Any = Path(run)
     reference = (run.reference or (lambda run: exact(run, run.state)))(run)
     error = distance(path, solution.states, reference)

@@ -32,12 +32,12 @@ from .optimise import Optimum as Optimum
 from .optimise import optimise as optimise
 from .periodic import PeriodicState as PeriodicState
 from .periodic import periodic_state as periodic_state
-from .rollout import Solution as Solution
 from .rollout import rollout as rollout
 from .scene import Scene as Scene
 from .scene import check as check
 from .simulate import resume as resume
 from .simulate import simulate as simulate
+from .solution import Solution as Solution
 from .solver import AB3 as AB3
 from .solver import Rosenbrock as Rosenbrock
 from .state import Load as Load

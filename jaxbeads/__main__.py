@@ -3,6 +3,7 @@
 import argparse
 import inspect
 import json
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,9 +15,11 @@ import numpy as np
 
 from .breakdown import SimulationError
 from .observables import curvature
-from .rollout import Solution
 from .scenes import MODELS, SCENES, AbstractModel, Case, ReadyMade, Value
+from .solution import Ending, Solution
 from .solver import AB3, Rosenbrock
+
+_INTERRUPTED, _NO_READER = 128 + 2, 128 + 13  # as a shell reports SIGINT and SIGPIPE
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -118,7 +121,7 @@ def _text(value: Value) -> str:
     return f"{value:.6g}"
 
 
-def _run(ready: ReadyMade, arguments: argparse.Namespace) -> None:
+def _run(ready: ReadyMade, arguments: argparse.Namespace) -> int:
     values = {name: getattr(arguments, name) for name in ready.options}
     if "model" in values:
         values["model"] = MODELS[values["model"]]
@@ -138,26 +141,52 @@ def _run(ready: ReadyMade, arguments: argparse.Namespace) -> None:
         options["file"] = folder / f"{ready.name}.h5"
     solution = case.simulate(**options)
     print(solution.summary())
-    results = ready.observables(case, solution)
+    interrupted = solution.status == Ending.INTERRUPTED.word
+    # What a scene shows at its end is not to be seen in a part of it.
+    results = {} if interrupted else ready.observables(case, solution)
     for name, value in results.items():
         print(f"  {name:<24}{_text(value)}")
-    if folder is not None:
+    if folder is not None and not interrupted:
         print("  drawing pictures and a movie ...")
         for path in _write(ready, case, solution, folder):
             print(f"  wrote {path}")
     if arguments.json:
         run = {
-            "wall_s": solution.wall_s,
-            "compile_s": solution.compile_s,
+            "status": solution.status,
+            "wall_s": _number(solution.wall_s),
+            "compile_s": _number(solution.compile_s),
             "steps": int(solution.steps),
             "constraint_residual": float(np.max(np.asarray(solution.residual))),
             "bond_length_error": float(np.max(np.asarray(solution.bond_length_error))),
         }
         print(json.dumps({**results, **run}))
+    return _INTERRUPTED if interrupted else 0
+
+
+def _number(value: Any) -> float:
+    return float(np.asarray(value))
 
 
 def main(words: list[str] | None = None) -> int:
-    """Run the shell command; returns its exit code."""
+    """Run the shell command; returns its exit code: 0; 1 for what is refused or breaks down, which is
+    said in one sentence; 130 after Ctrl-C; 141 if nobody reads what it prints, as after `| head`."""
+    try:
+        try:
+            return _main(words)
+        finally:  # what is still in the buffer, too, may find no reader
+            sys.stdout.flush()
+    except KeyboardInterrupt:
+        print("Interrupted.", file=sys.stderr)
+        return _INTERRUPTED
+    except BrokenPipeError:
+        # Python flushes once more when it ends, and would complain.
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        for stream in (sys.stdout, sys.stderr):
+            os.dup2(nowhere, stream.fileno())
+        return _NO_READER
+
+
+def _main(words: list[str] | None) -> int:
     arguments = _parser().parse_args(words)
     if arguments.scene is None:
         print("Scenes (python -m jaxbeads SCENE --help shows a scene's options):")
@@ -167,11 +196,10 @@ def main(words: list[str] | None = None) -> int:
     jax.config.update("jax_enable_x64", True)  # a program of its own may choose; a library may not
     ready = next(r for r in SCENES if r.name == arguments.scene)
     try:
-        _run(ready, arguments)
+        return _run(ready, arguments)
     except (ValueError, SimulationError) as error:
         print(error, file=sys.stderr)
         return 1
-    return 0
 
 
 if __name__ == "__main__":

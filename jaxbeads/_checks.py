@@ -4,11 +4,9 @@ Each check says "Argument `x` must ..., but ...". A value that is being traced i
 passes; shapes are always known.
 """
 
-from collections.abc import Callable
-from typing import Any
+from typing import Any, NoReturn
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from ._compat import Tracer
@@ -23,7 +21,7 @@ def known(value: Any) -> bool:
     )
 
 
-def fail(name: str, must: str, but: str) -> None:
+def fail(name: str, must: str, but: str) -> NoReturn:
     """Raise the sentence of this project."""
     raise ValueError(f"Argument `{name}` must {must}, but {but}.")
 
@@ -110,27 +108,3 @@ def index(name: str, value: int, number: int) -> None:
     """An index, from either end, of one of `number` things."""
     if not -number <= value < number:
         fail(name, f"lie between {-number} and {number - 1}", f"it is {value}")
-
-
-def outcome(name: str, given: str, function: Callable[..., Any], *arguments: Any) -> Any:
-    """Shape of a user's function, without computing anything; refused if it cannot be called."""
-    try:
-        return jax.eval_shape(function, *arguments)
-    except Exception as error:
-        first = str(error).strip().splitlines()[0].rstrip(".")
-        fail(name, f"be a function that can be called with {given}", f"it raises: {first}")
-
-
-def law(name: str, function: Callable[..., Any] | None, size: tuple[int, ...]) -> None:
-    """A function of the time whose value has this shape, or `None`."""
-    if function is not None:
-        shape(name, outcome(name, "a time", function, jnp.zeros(())), size)
-
-
-def along(name: str, value: Any, joints: int, spatial: bool) -> None:
-    """Numbers along a fibre, or a function of time, arclength and length that returns them."""
-    vectors = ((joints, 2), (joints, 3)) if spatial else ()
-    if callable(value):
-        s = jnp.zeros(joints)
-        value = outcome(name, f"{joints} joints", value, jnp.zeros(()), s, s)
-    shape(name, value, (), (joints,), *vectors)

@@ -25,15 +25,3 @@ def float_array(value: Any) -> jax.Array:
 def optional_float_array(value: Any) -> jax.Array | None:
     """As `float_array`, but `None` stays `None`."""
     return None if value is None else float_array(value)
-
-
-def leaf_function(function: Any) -> Any:
-    """Make a plain function a pytree without leaves, so that a module that holds it can be jitted.
-
-    Callables that are pytrees already (an `equinox.Module`, a `jax.tree_util.Partial`) stay as they
-    are, with their leaves.
-    """
-    if not callable(function):
-        raise ValueError(f"Argument `function` must be a function, but it is {function!r}.")
-    plain = jax.tree.structure(function) == jax.tree.structure(0)
-    return jax.tree_util.Partial(function) if plain else function

@@ -1,17 +1,21 @@
 """Why a run broke down: the step, the bead and the term, in a sentence that says what to do."""
 
 from dataclasses import dataclass
+from typing import Any
 
+import diffrax
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from .constraint import AbstractChainConstraint
-from .dynamics import ambient_motion, redundancy
+from .dynamics import redundancy
+from .faults import REMEDY, Fault, not_finite, not_smooth
 from .force import Contact
 from .geometry import smallest_gap
-from .rollout import Solution, Stepper, default_solver
-from .scene import Scene
+from .rollout import Stepper, default_solver
+from .scene import Scene, in_single
+from .solution import Solution
 from .solver import AdaptiveSteps, FixedSteps, Rosenbrock, explicit_step
 from .solver.stepping import Carry
 from .state import Load, State
@@ -36,6 +40,10 @@ class SimulationError(RuntimeError):
         self.cause = cause
         self.solution = solution
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # By its arguments, not by its text: copies, and other processes, make it anew from them.
+        return type(self), (self.cause, self.solution), self.__dict__
+
 
 def bond_error(scene: Scene, state: State) -> tuple[float, int]:
     """Largest relative bond-length error and the bond where it is."""
@@ -53,21 +61,23 @@ def _size(load: Load) -> float:
     return max((float(x.max()) for x in parts), default=0.0)
 
 
-def guilty_term(t: float, state: State, scene: Scene) -> tuple[str, str]:
-    """Name of the term that fails at this state, or that is largest, and how it fails."""
-    largest, size = "", 0.0
-    for force in scene.forces:
-        name, value = type(force).__name__, _size(force.load(jnp.asarray(t), state, scene.chain))
-        if not np.isfinite(value):
-            return name, "its load is not finite"
-        if value > size:
-            largest, size = name, value
-    ambient = ambient_motion(t, state, scene)
-    if ambient is not None and not np.all(np.isfinite(ambient.velocity)):
-        return type(scene.flow).__name__, "its velocity is not finite"
+def guilty_term(t: float, state: State, scene: Scene, derivatives: bool = False) -> Fault:
+    """The term that fails at this state, or whose load is largest, and how it fails; `derivatives`:
+    whether they are needed."""
+    if (fault := not_finite(t, state, scene)) is not None:
+        return fault
     if (how := redundancy(t, state, scene)) is not None:
-        return " + ".join(type(c).__name__ for c in scene.constraints), how
-    return (largest, f"it has the largest load, {size:.3g}") if largest else ("time step", "")
+        return Fault(" + ".join(type(c).__name__ for c in scene.constraints), how)
+    if derivatives and (fault := not_smooth(t, state, scene)) is not None:
+        return fault
+    sizes = {}
+    for force in scene.forces:
+        load = _size(force.load(jnp.asarray(t), state, scene.chain))
+        sizes[type(force).__name__] = max(load, sizes.get(type(force).__name__, 0.0))
+    largest = max(sizes, key=lambda name: sizes[name], default="")
+    if not largest or sizes[largest] == 0:
+        return Fault("time step", "")
+    return Fault(largest, f"it has the largest load, {sizes[largest]:.3g}")
 
 
 def _smallest_gap(scene: Scene, state: State) -> str:
@@ -88,18 +98,21 @@ def explain(
     step: int,
     bad: State | None,
     advice: str = "",
-    what: str = "the motion is not finite",
+    what: str = "",
+    derivatives: bool = False,
 ) -> Cause:
     """The cause from the last good state, at time t, and what the step from there made of it (or, if
-    there is no such state, `what` happened)."""
-    term, how = guilty_term(t, good, scene)
-    bead = None
-    if bad is not None:
+    there is no such state, `what` happened); `derivatives`: whether the step needed them."""
+    what = what or f"the motion is not finite{in_single(good.position.dtype)}"
+    term, how, bead, derivative = guilty_term(t, good, scene, derivatives)
+    if derivative:
+        what, advice = "the linear equations of a step are not finite", f" {REMEDY}"
+    elif bad is not None:
         finite = np.isfinite(np.asarray(bad.position)).all(axis=1)
         error, bond = bond_error(scene, bad)
         if not finite.all():
-            bead = int(np.argmin(finite))
-            what = f"bead {bead} has no finite position"
+            bead = int(np.argmin(finite)) if bead is None else bead
+            what = f"bead {int(np.argmin(finite))} has no finite position{in_single(bad.position.dtype)}"
         elif error > 0:
             bead = bond
             what = (
@@ -124,6 +137,11 @@ def step_advice(scene: Scene, step: float, stepper: FixedSteps) -> str:
     )
 
 
+def _implicit(stepper: Stepper) -> bool:
+    """Whether its steps need derivatives of the terms."""
+    return isinstance(stepper.solver, (Rosenbrock, diffrax.AbstractImplicitSolver))
+
+
 _step = eqx.filter_jit(lambda stepper, *args: stepper.step(*args))
 
 
@@ -141,7 +159,13 @@ def _given_up(stepper: AdaptiveSteps, scene: Scene, after: Carry, t0: float, t1:
     else:
         what = f"no step, down to {step:.2g}, meets the tolerance with finite numbers"
         advice = " Loosen `tolerance`, or look at the term named here."
-    return explain(scene, last.state, float(last.previous), int(after.steps), None, advice, what)
+        rounding = float(np.spacing(np.abs(np.asarray(last.previous))))
+        if 0 <= step <= 4 * rounding and rounding > 1e-9 * (t1 - t0):
+            advice += (
+                f" Times near t = {t0:g} are rounded to {rounding:.2g}: start nearer to t = 0."
+            )
+    time, steps, implicit = float(last.previous), int(after.steps), _implicit(stepper)
+    return explain(scene, last.state, time, steps, None, advice, what, implicit)
 
 
 def locate(
@@ -159,7 +183,7 @@ def locate(
         if int(after.code) != 0:
             return _given_up(stepper, scene, after, t0, t1)
         return explain(scene, carry.state, t0, int(after.steps), after.state)
-    h = (t1 - t0) / stepper.substeps
+    h, implicit = (t1 - t0) / stepper.substeps, _implicit(stepper)
     start, end = (jnp.asarray(t, carry.state.position.dtype) for t in (t0, t1))
     for index in range(stepper.substeps):
         new = _step(stepper, scene, carry, start, end, jnp.asarray(index))
@@ -167,7 +191,10 @@ def locate(
         fine = np.all(np.isfinite(new.state.position)) and error <= bond_tolerance
         if not fine:
             advice = step_advice(scene, h, stepper)
-            return explain(scene, carry.state, t0 + index * h, int(carry.steps), new.state, advice)
+            good, at = carry.state, t0 + index * h
+            return explain(
+                scene, good, at, int(carry.steps), new.state, advice, derivatives=implicit
+            )
         carry = new
     return explain(
         scene, carry.state, t1, int(carry.steps), carry.state, step_advice(scene, h, stepper)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._checks import fail, finite, non_negative, non_zero, positive, shape, whole
+from ._checks import fail, finite, index, non_negative, non_zero, positive, shape, whole
 from ._typing import float_array
 from .geometry import unit
 from .state import State
@@ -106,6 +106,31 @@ class Chain(eqx.Module):
         """Mean position of each fibre's beads."""
         member = self.fibre_of_bead == np.arange(len(self.fibres))[:, None]
         return (member / member.sum(1, keepdims=True)) @ position
+
+
+def check_bond(name: str, bond: int, chain: Chain) -> None:
+    """Refuse the index of a bond that the chain does not have, as one from a fibre to the next."""
+    if not chain.bond_mask.any():
+        fail(name, "be a bond of the chain", f"it is {bond} and none of its fibres has two beads")
+    index(name, bond, len(chain.bond_mask))
+    if not chain.bond_mask[bond]:
+        first, last = bond % len(chain.bond_mask), bond % len(chain.bond_mask) + 1
+        one, other = chain.fibre_of_bead[[first, last]]
+        must = f"be a bond within a fibre, {_spans(np.flatnonzero(chain.bond_mask))}"
+        fail(
+            name,
+            must,
+            f"bond {bond} leads from fibre {one} (bead {first}) to {other} (bead {last})",
+        )
+
+
+def _spans(numbers: np.ndarray) -> str:
+    """Increasing whole numbers in words, as "0 to 3 or 5"."""
+    parts = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)
+    words = [f"{p[0]} to {p[-1]}" if len(p) > 1 else f"{p[0]}" for p in parts]
+    if len(words) > 6:
+        words = [*words[:3], "...", words[-1]]
+    return f"{', '.join(words[:-1])} or {words[-1]}" if len(words) > 1 else words[0]
 
 
 def from_tangents(chain: Chain, tangents: Any, centre: Any = None) -> Float[Array, "beads dim"]:

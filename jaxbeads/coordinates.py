@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 
 from .chain import Chain, place
 from .constraint import AbstractChainConstraint
+from .frames import tidy
 from .geometry import normals
 from .scene import Scene
 from .state import State
@@ -32,11 +33,12 @@ class Coordinates(eqx.Module):
 
     def state(self, x: Float[Array, " numbers"]) -> State:
         """The state at x."""
-        points, turn, rest = self._split(x)
-        director = self.start.director
+        points, turn, rest, frame = self._split(x)
+        director, normal = self.start.director, self.start.normal
+        normal = None if normal is None else normal + frame
         if self.constraint is None or self.direction is None:
             director = None if director is None else director + rest
-            return State(self.start.position + points, director)
+            return State(self.start.position + points, director, normal)
         quarter = (turn * turn).sum(axis=1, keepdims=True) / 4
         sideways = jnp.einsum("rn,rnd->rd", turn, normals(self.direction))
         direction = ((1 - quarter) * self.direction + sideways) / (1 + quarter)
@@ -45,18 +47,16 @@ class Coordinates(eqx.Module):
         bonds = self.constraint.bonds(direction, self.chain)
         position = place(self.chain, bonds, points, weights)
         if self.constraint.oriented:
-            return State(position, direction)
-        return State(position, None if director is None else director + rest)
+            return State(position, direction, normal)
+        return State(position, None if director is None else director + rest, normal)
 
     def rate(
         self, x: Float[Array, " numbers"], state: State, moving: State
     ) -> Float[Array, " numbers"]:
         """dx/dt at x, where the state is `state` and its rate of change `moving`."""
         if self.constraint is None or self.direction is None:
-            parts = (
-                [moving.position] if moving.director is None else [moving.position, moving.director]
-            )
-            return jnp.concatenate([part.ravel() for part in parts])
+            parts = [moving.position, moving.director, moving.normal]
+            return jnp.concatenate([part.ravel() for part in parts if part is not None])
         constraint, turn = self.constraint, self._split(x)[1]
         turning = jax.jvp(lambda s: constraint.directions(s, self.chain), (state,), (moving,))[1]
         quarter = (turn * turn).sum(axis=1, keepdims=True) / 4
@@ -65,28 +65,42 @@ class Coordinates(eqx.Module):
         parts = [self._weights @ moving.position, (1 + quarter) * (sideways - turn * along / 2)]
         if moving.director is not None and not constraint.oriented:
             parts.append(moving.director)
+        if moving.normal is not None:
+            parts.append(moving.normal)
         return jnp.concatenate([part.ravel() for part in parts])
 
     @property
+    def units(self) -> Float[Array, " numbers"]:
+        """How large each coordinate may be: the longest fibre's length for places, otherwise 1."""
+        places, *others = self.sizes
+        ones = jnp.ones(places + sum(others), self.start.position.dtype)
+        return ones.at[:places].set(jnp.max(self.chain.length))
+
+    @property
     def sizes(self) -> tuple[int, ...]:
-        """How many numbers are points of fibres (or all beads), turns of directions, directors that are
-        carried."""
+        """How many numbers are points of fibres (or all beads), turns of directions, directors and
+        normals that are carried."""
         size = self.start.position.size
+        normal = self.start.normal
+        frame = 0 if normal is None else normal.size
         carried = self.start.director is not None
         if self.constraint is None or self.direction is None:
-            return size, 0, size if carried else 0
+            return size, 0, size if carried else 0, frame
         rows, dim = self.direction.shape
         rest = size if carried and not self.constraint.oriented else 0
-        return len(self.chain.fibres) * dim, rows * (dim - 1), rest
+        return len(self.chain.fibres) * dim, rows * (dim - 1), rest, frame
 
     def places(self, position: Float[Array, "beads dim"]) -> Float[Array, "points dim"]:
         """The points by which beads at these positions are placed."""
         return position if self.constraint is None else self._weights @ position
 
-    def _split(self, x: Array) -> tuple[Array, Array, Array]:
+    def _split(self, x: Array) -> tuple[Array, Array, Array, Array]:
         dim = self.start.position.shape[1]
-        points, turn, rest = jnp.split(x, np.cumsum(self.sizes)[:-1])
-        return points.reshape(-1, dim), turn.reshape(-1, dim - 1), rest.reshape(-1, dim)
+        parts = jnp.split(x, np.cumsum(self.sizes)[:-1])
+        points, turn, rest, frame = (
+            part.reshape(-1, dim - 1 if which == 1 else dim) for which, part in enumerate(parts)
+        )
+        return points, turn, rest, frame
 
     @property
     def _weights(self) -> Float[Array, "fibres beads"]:
@@ -125,7 +139,14 @@ def coordinates(scene: Scene, state: State) -> Coordinates:
     return eqx.tree_at(lambda c: c.start, chart, chart.state(chart.origin))
 
 
+def tidied(scene: Scene, state: State) -> State:
+    """Directors and normals at length one, as time stepping keeps them to its order only. A chain
+    constraint that is made of directors looks after them itself."""
+    chained = (c for c in scene.constraints if isinstance(c, AbstractChainConstraint))
+    return tidy(state, scene.chain, directors=not any(c.oriented for c in chained))
+
+
 def project(scene: Scene, state: State) -> State:
     """Bond lengths restored by the scene's chain constraint; directions are kept, and the place of each
     fibre's centre or held bead."""
-    return coordinates(scene, state).start
+    return coordinates(scene, tidied(scene, state)).start

@@ -12,10 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .chain import Chain
+from .coincidence import coincidence
 from .constraint import AbstractConstraint
 from .factors import symmetric
 from .flow import AbstractFlow
 from .flow.base import spin_and_strain, velocity_and_gradient
+from .frames import normal_rate
 from .geometry import spin_cross
 from .loops import keep
 from .mobility import MatrixFree, MobilityOperator
@@ -28,7 +31,7 @@ from .saddle import (
     saddle_point,
     slips,
 )
-from .scene import Scene
+from .scene import Scene, in_single
 from .state import Load, Motion, State, add_loads, add_motions, zero_motion
 
 
@@ -38,8 +41,10 @@ def applied_load(t: Time, state: State, scene: Scene) -> Load:
 
 
 def _fluid(flow: AbstractFlow, t: Time, state: State, scene: Scene) -> tuple[Motion, Array]:
-    """Motion of the fluid at the beads and its rate of strain."""
-    velocity, gradient = velocity_and_gradient(flow, jnp.asarray(t), state.position)
+    """Motion of the fluid, as the beads feel it, and its rate of strain."""
+    velocity, gradient = velocity_and_gradient(
+        flow, jnp.asarray(t), state.position, scene.chain.radius
+    )
     spin, strain = spin_and_strain(gradient)
     still = zero_motion(state, scene.rotational).spin
     turned = None if still is None else jnp.broadcast_to(spin, still.shape)
@@ -47,7 +52,7 @@ def _fluid(flow: AbstractFlow, t: Time, state: State, scene: Scene) -> tuple[Mot
 
 
 def carried(t: Time, state: State, scene: Scene) -> Motion:
-    """V_inf, the motion of the fluid at the beads."""
+    """V_inf, the motion of the fluid as the beads feel it."""
     if scene.flow is None:
         return zero_motion(state, scene.rotational)
     return _fluid(scene.flow, t, state, scene)[0]
@@ -189,7 +194,7 @@ def _answer(t: Time, state: State, scene: Scene) -> Array:
     return system.multipliers(system.constraints.slip(moved))
 
 
-def _named(constraint: AbstractConstraint) -> str:
+def named(constraint: AbstractConstraint) -> str:
     """Its name, with the bead or bond that it is about."""
     about = (f"{x}={getattr(constraint, x)}" for x in ("bead", "bond") if hasattr(constraint, x))
     where = ", ".join(about)
@@ -200,7 +205,9 @@ def redundancy(t: Time, state: State, scene: Scene) -> str | None:
     """Whether the constraints depend on one another at this instant, and which of them.
 
     Looks at the null vectors of S, each of them a combination of rows that demands nothing new. If the
-    velocities that these rows prescribe do not agree either, no motion meets them.
+    velocities that these rows prescribe do not agree either, no motion meets them. Where the constraints
+    are independent (J has no null vector) and S is singular all the same, it is since beads in one place
+    move as one; then it says which.
 
     Where the mobility is not dense there are too many for eigenvalues: then iterations that do not
     converge tell that some depend on one another, but not which.
@@ -212,40 +219,73 @@ def redundancy(t: Time, state: State, scene: Scene) -> str | None:
     if not scene.mobility.is_dense(scene.chain.beads):
         if np.all(np.isfinite(_answer(jnp.asarray(t), state, scene))):
             return None
-        names = " + ".join(map(_named, scene.constraints))
+        if (how := _together(state, scene)) is not None:
+            return how
+        names = " + ".join(map(named, scene.constraints))
         return f"{names} depend on one another: iterations do not converge"
     matrix = np.asarray(constraint_matrix(t, state, scene))
+    if matrix.size == 0:  # as one bead under `Gears`
+        return None
     if not np.all(np.isfinite(matrix)):
-        return "the matrix J M J^T is not finite"
+        return f"the matrix J M J^T is not finite{in_single(matrix.dtype)}"
     scale = np.sqrt(np.abs(np.diagonal(matrix)))
     scale[scale == 0] = 1.0
     values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
     null = vectors[:, values < 10 * len(values) * np.finfo(matrix.dtype).eps * values[-1]]
     if null.shape[1] == 0:
         return None
-    null = null / scale[:, None]
     time = jnp.asarray(t)
+    if (how := _together(state, scene)) is not None and _pushes(time, state, scene, null):
+        return how
     still = zero_motion(state, scene.rotational)
     sizes = [np.size(c.slip(time, state, still, scene.chain)) for c in scene.constraints]
     parts = np.split(np.abs(null).max(axis=1), np.cumsum(sizes)[:-1])
     names = [
-        _named(c)
+        named(c)
         for c, part in zip(scene.constraints, parts, strict=True)
         if part.max(initial=0.0) > 1e-6 * np.abs(null).max()
     ]
-    offset = np.asarray(slips(time, state, scene)(still))
+    offset = np.asarray(slips(time, state, scene)(still)) / scale
     size = np.abs(null).T @ np.abs(offset)
-    clash = np.any(np.abs(null.T @ offset) > 1e-8 * np.where(size == 0, 1.0, size))
+    least = max(1e-8, 100 * float(np.finfo(matrix.dtype).eps))
+    clash = np.any(np.abs(null.T @ offset) > least * size)
     verb = "depends" if null.shape[1] == 1 else "depend"
     how = "contradict one another" if clash else "are redundant"
     return f"{' + '.join(names)} {how}: {null.shape[1]} of their rows {verb} on the others"
+
+
+def _together(state: State, scene: Scene) -> str | None:
+    """Beads in one place, in words, if the mobility moves them as one."""
+    if not scene.mobility.interacting:
+        return None
+    return coincidence(state, scene.chain, oriented=scene.oriented)
+
+
+def _pushes(t: Array, state: State, scene: Scene, null: np.ndarray) -> bool:
+    """Whether some multipliers, one in each column, add up to loads: not if rows are dependent."""
+    pull, count = constraint_map(t, state, scene).pull, len(null)
+
+    def squares(multipliers: np.ndarray) -> np.ndarray:
+        """Sum of the squares of forces, and of torques over radii, for each column."""
+        loads = jax.vmap(pull, in_axes=1)(jnp.asarray(multipliers))
+        sums = np.zeros(multipliers.shape[1])
+        if loads.force is not None:
+            sums += np.sum(np.square(loads.force), axis=(1, 2))
+        if loads.torque is not None:
+            arm = np.asarray(scene.chain.radii)[None, :, None]
+            sums += np.sum(np.square(np.asarray(loads.torque) / arm), axis=(1, 2))
+        return sums
+
+    alone = squares(np.eye(count, dtype=null.dtype)) @ null**2
+    return bool(np.any(squares(null) > 1e-8 * alone))
 
 
 def constraint_residual(t: Time, state: State, scene: Scene) -> Float[Array, ""]:
     """Norm of J Qdot + B over the number of rows and the scale of the velocities, eq. (49).
 
     Zero up to rounding when the multipliers do their work. The scale is the largest velocity that beads
-    have, or would have without constraints: a fibre at rest may be held against large forces.
+    or their surfaces have, or would have without constraints: a fibre at rest may be held against large
+    forces. Rates of turning count times the largest radius.
     """
     if not scene.constraints:
         return jnp.zeros((), state.position.dtype)
@@ -255,22 +295,33 @@ def constraint_residual(t: Time, state: State, scene: Scene) -> Float[Array, ""]
 @eqx.filter_jit
 def _residual(t: Time, state: State, scene: Scene) -> Array:
     free, (moved, _) = _free_and_held(t, state, scene)
-    slip = slips(t, state, scene)(moved)
-    scale = jnp.maximum(jnp.max(jnp.abs(moved.velocity)), jnp.max(jnp.abs(free.velocity)))
-    return jnp.linalg.norm(slip) / (max(slip.shape[0], 1) * jnp.where(scale == 0, 1.0, scale))
+    radius = jnp.max(scene.chain.radius)
+    both = jax.tree.leaves(((moved.velocity, free.velocity), (moved.spin, free.spin)))
+    sizes = [jnp.max(jnp.abs(x)) for x in both]
+    scale = jnp.max(jnp.stack([*sizes[:2], *(radius * x for x in sizes[2:])]))
+    scale = jnp.where(scale == 0, 1.0, scale)
+    rows = [
+        jnp.ravel(c.slip(jnp.asarray(t), state, moved, scene.chain))
+        / scale
+        * (radius if c.turning else 1.0)
+        for c in scene.constraints
+    ]
+    slip = jnp.concatenate(rows)
+    return jnp.linalg.norm(slip) / max(slip.shape[0], 1)
 
 
 def rate(t: Time, state: State, scene: Scene) -> State:
     """Time derivative of the state: the right-hand side that the solvers integrate, eqs (38), (48)."""
-    return moving(motion(t, state, scene), state)
+    return moving(motion(t, state, scene), state, scene.chain)
 
 
-def moving(moved: Motion, state: State) -> State:
+def moving(moved: Motion, state: State, chain: Chain) -> State:
     """Rate of change of the state in a motion."""
+    turning = normal_rate(state, moved.velocity, chain)
     if state.director is None:
-        return State(moved.velocity)
+        return State(moved.velocity, None, turning)
     if moved.spin is None:
         raise ValueError(
             "Argument `state` must hold no directors, but no term of the scene turns beads."
         )
-    return State(moved.velocity, spin_cross(moved.spin, state.director))
+    return State(moved.velocity, spin_cross(moved.spin, state.director), turning)

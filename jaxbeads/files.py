@@ -1,14 +1,19 @@
 """Trajectory files: HDF5, written while running, from which a run continues bit for bit.
 
-Layout: `t` (times), `position` (times, beads, dim), `director` where there is one, `residual`,
+Layout: `t` (times), `position` (times, beads, dim), `director` and `normal` where there are, `residual`,
 `bond_length_error`; `ts` (all planned times); group `scene` (every number of the model and solver);
-groups `checkpoint/0` and `checkpoint/1` (all that the next step depends on, written in turns); `mark`
-(which of the two is whole, how many states belong to it, steps so far), written last in one piece: what
-lies beyond it is the rest of an interrupted write. Attributes: `format`, `versions`, `model`.
+`model` (the structure that these numbers belong to, as JSON, see `contents`); groups `checkpoint/0` and
+`checkpoint/1` (all that the next step depends on, written in turns); `mark` (which of the two is whole,
+how many states belong to it, steps so far), written last in one piece: what lies beyond it is the rest
+of an interrupted write; `seconds` (in all, and of them for compiling; not a number unless the last run
+ended by itself). Attributes: `format`, `versions`, `solver`.
+
+A file appears under its name when its first state is written, in one piece, and not before: until then
+an older one of that name is as it was. While a run writes, HDF5 holds a lock; others are turned away.
 """
 
-import os
-import re
+import dataclasses
+import itertools
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,35 +25,42 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .rollout import Solution, Stepper
+from ._checks import fail
+from .contents import Contents
+from .places import (
+    Place,
+    in_use,
+    key_of,
+    reason,
+    refuse_in_use,
+    refuse_unwritable,
+    refuse_written_here,
+    written,
+)
+from .rollout import Stepper
 from .scene import Scene
+from .solution import Ending, Solution, name_number
 from .solver.stepping import Carry
 from .state import State
 
 FORMAT = 1
 _COLUMNS = ("t", "position", "residual", "bond_length_error")
-_OPTIONAL = "director"
+_OPTIONAL = ("director", "normal")
+_LIMITS = ("max_steps",)
+"""What decides on no number of a run that ends well, and may be another when it is resumed."""
 
 
 def _leaves(tree: Any) -> list[np.ndarray]:
     return [np.asarray(leaf) for leaf in jax.tree.leaves(eqx.filter(tree, eqx.is_array))]
 
 
-def _model(scene: Scene, stepper: Stepper) -> str:
-    """The structure of scene and solver without the numbers, as text."""
-    blank = jax.tree.map(lambda x: 0 if eqx.is_array(x) else x, (scene, stepper))
-    return re.sub(r" at 0x[0-9a-f]+", "", repr(blank))  # a function's address is not its name
+def _contents(scene: Scene, stepper: Stepper) -> Contents:
+    options = {f.name: getattr(stepper, f.name) for f in dataclasses.fields(stepper)}
+    return Contents(_LIMITS, scene=scene, **options)
 
 
 class DamagedFile(ValueError):
     """A file that cannot be continued, with the reason in one sentence."""
-
-
-def _reason(error: OSError) -> str:
-    """What HDF5 says, without the addresses and flags that it adds."""
-    if error.errno:
-        return os.strerror(error.errno)
-    return str(error).partition("(")[2].partition(":")[0].rstrip(")") or str(error)
 
 
 @contextmanager
@@ -57,46 +69,64 @@ def _readable(path: str | Path) -> Iterator[None]:
     try:
         yield
     except (KeyError, OSError) as error:
-        reason = _reason(error) if isinstance(error, OSError) else "a part of it is missing"
-        raise DamagedFile(
-            f"Argument `file` must be whole, but {path} is damaged: {reason}."
-        ) from None
+        why = reason(error) if isinstance(error, OSError) else "a part of it is missing"
+        raise DamagedFile(f"Argument `file` must be whole, but {path} is damaged: {why}.") from None
 
 
 class TrajectoryFile:
-    """One run's file, open for appending."""
+    """One run's file, open for appending; with a `place`, it is put there with its first state."""
 
-    def __init__(self, handle: h5py.File) -> None:
-        self.handle = handle
+    def __init__(
+        self, handle: h5py.File, place: Place | None = None, seconds: Any = (0.0, 0.0)
+    ) -> None:
+        self.handle, self.place = handle, place
+        self.seconds = np.asarray(seconds)  # of the runs before
+        self.key = key_of(handle.filename)
+        written.add(self.key)
 
     def close(self) -> None:
         """Close the file."""
         self.handle.close()
+        written.discard(self.key)
+        if self.place is not None:
+            self.place.leave()
 
     @classmethod
     def create(
         cls, path: str | Path, scene: Scene, stepper: Stepper, ts: Any, state: State
     ) -> "TrajectoryFile":
-        """A new file; an existing one is replaced.
+        """A new file; an existing one is replaced as soon as there is a state to write.
 
-        **Raises** `ValueError` if the path cannot be written.
+        **Raises** `ValueError` if the path cannot be written or is in use.
         """
+        place = Place(path)
         try:
-            handle = h5py.File(path, "w")
+            handle = h5py.File(place.part, "w")
         except OSError as error:
-            raise ValueError(
-                f"Argument `file` must be a path that can be written, but {path} is not: "
-                f"{_reason(error)}."
-            ) from None
+            place.leave()
+            refuse_unwritable(path, reason(error))
+        file = cls(handle, place)
+        try:
+            file.prepare(scene, stepper, ts, state)
+        except BaseException:
+            file.close()
+            raise
+        return file
+
+    def prepare(self, scene: Scene, stepper: Stepper, ts: Any, state: State) -> None:
+        """Write what is known before the first state."""
+        handle, contents = self.handle, _contents(scene, stepper)
         handle.attrs["format"] = FORMAT
-        handle.attrs["model"] = _model(scene, stepper)
+        handle.attrs["solver"] = type(stepper.solver).__name__
+        handle["model"] = contents.text()
         handle.attrs["versions"] = f"jax {jax.__version__}, h5py {h5py.__version__}"
         handle["ts"] = np.asarray(ts)
-        for index, leaf in enumerate(_leaves((scene, stepper))):
-            handle[f"scene/{index}"] = leaf
+        for index, number in enumerate(contents.numbers):
+            handle[f"scene/{index}"] = number
         columns = {"t": np.asarray(ts)[:1], "position": np.asarray(state.position)[None]}
-        if state.director is not None:
-            columns["director"] = np.asarray(state.director)[None]
+        for name in _OPTIONAL:
+            if (vectors := getattr(state, name)) is not None:
+                columns[name] = np.asarray(vectors)[None]
         for name in ("residual", "bond_length_error"):
             columns[name] = np.zeros(1)
         for name, first in columns.items():
@@ -108,7 +138,7 @@ class TrajectoryFile:
                 dtype=first.dtype,
             )
         handle["mark"] = np.zeros(3, np.int64)
-        return cls(handle)
+        handle["seconds"] = np.full(2, np.nan)
 
     def append(self, part: Solution, carry: Carry) -> None:
         """Add the times of `part` and the checkpoint that belongs to them.
@@ -122,6 +152,7 @@ class TrajectoryFile:
             "t": part.ts,
             "position": part.states.position,
             "director": part.states.director,
+            "normal": part.states.normal,
             "residual": part.residual,
             "bond_length_error": part.bond_length_error,
         }
@@ -134,8 +165,19 @@ class TrajectoryFile:
         for index, leaf in enumerate(_leaves(carry)):
             group.require_dataset(str(index), leaf.shape, leaf.dtype)[...] = leaf
         self.handle.flush()
+        self._set_seconds(np.nan)
         mark[:] = (1 - slot, done + len(part.ts), int(carry.steps))
         self.handle.flush()
+        if self.place is not None:
+            self.place.take()
+            self.place = None
+
+    def end(self, solution: Solution) -> None:
+        """Note how long the run took, which ends with this solution."""
+        self._set_seconds(self.seconds + np.array([solution.wall_s, solution.compile_s], float))
+
+    def _set_seconds(self, value: Any) -> None:
+        self.handle.require_dataset("seconds", (2,), float)[...] = value
 
 
 def _open(path: str | Path, mode: str) -> h5py.File:
@@ -144,9 +186,11 @@ def _open(path: str | Path, mode: str) -> h5py.File:
     try:
         handle = h5py.File(path, mode)
     except OSError as error:
+        if in_use(error):
+            refuse_in_use(path)
         raise DamagedFile(
             f"Argument `file` must be a trajectory file, but {path} cannot be read: "
-            f"{_reason(error)}."
+            f"{reason(error)}."
         ) from None
     missing = {"ts", "mark", *_COLUMNS} - set(handle)
     if missing or handle.attrs.get("format") != FORMAT:
@@ -167,21 +211,29 @@ def load(path: str | Path) -> Solution:
         _, done, steps = (int(x) for x in np.asarray(handle["mark"]))
         planned, stored = np.asarray(handle["ts"]), _whole_columns(handle, path, done)
         ts, position, residual, error = (jnp.asarray(stored[name]) for name in _COLUMNS)
-        director = jnp.asarray(stored[_OPTIONAL]) if _OPTIONAL in stored else None
+        vectors = {name: jnp.asarray(stored[name]) for name in _OPTIONAL if name in stored}
+        wall, compiling = _seconds(handle)
         return Solution(
             ts,
-            batch_state(position, director),
-            jnp.asarray(steps),
+            batch_state(position, **vectors),
+            jnp.asarray(steps, int),  # with a type, or it would be a weak one
             jnp.zeros((), int),
             residual,
             error,
-            status="finished" if len(planned) == done else "unfinished",
+            wall,
+            compiling,
+            Ending.FINISHED if len(planned) == done else Ending.UNFINISHED,
+            name_number(str(handle.attrs.get("solver", ""))),
         )
+
+
+def _seconds(handle: h5py.File) -> np.ndarray:
+    return np.asarray(handle["seconds"]) if "seconds" in handle else np.full(2, np.nan)
 
 
 def _whole_columns(handle: h5py.File, path: str | Path, done: int) -> dict[str, np.ndarray]:
     """The states that the mark vouches for."""
-    names = [*_COLUMNS, *({_OPTIONAL} & set(handle))]
+    names = [*_COLUMNS, *(set(_OPTIONAL) & set(handle))]
     columns = {name: np.asarray(handle[name]) for name in names}
     short = min(len(column) for column in columns.values())
     times = np.asarray(handle["ts"])[:done]
@@ -198,23 +250,37 @@ def planned_times(path: str | Path) -> jax.Array:
         return jnp.asarray(np.asarray(handle["ts"]))
 
 
-def batch_state(position: jax.Array, director: jax.Array | None) -> State:
+def batch_state(
+    position: jax.Array, director: jax.Array | None = None, normal: jax.Array | None = None
+) -> State:
     """A `State` with leading axes."""
-    blank = jnp.zeros((1, 2))
-    tree = jax.tree.structure(State(blank, None if director is None else blank))
-    return jax.tree.unflatten(tree, [x for x in (position, director) if x is not None])
+    blank, given = jnp.zeros((1, 3)), (position, director, normal)
+    tree = jax.tree.structure(State(*(None if x is None else blank for x in given)))
+    return jax.tree.unflatten(tree, [x for x in given if x is not None])
 
 
 def compare(path: str | Path, scene: Scene, stepper: Stepper) -> None:
-    """Check that a file was written with this scene and this solver, to the last number.
+    """Check that a file was written with this scene and this solver, to the last number; see `contents`.
 
-    **Raises** `ValueError` if not.
+    **Raises** `ValueError` if not, which says what was another.
     """
     with _readable(path), _open(path, "r") as handle:
-        if handle.attrs.get("model") != _model(scene, stepper):
-            must = "the scene and solver with which the file was written"
-            raise ValueError(f"Argument `scene` must be {must}, but its terms differ.")
-        _restore(handle, "scene", (scene, stepper), path, same=True)
+        written: Any = handle["model"]
+        try:
+            before = Contents.read(written.asstr()[()], _numbers(handle))
+        except (ValueError, TypeError, AttributeError, RuntimeError):
+            raise DamagedFile(
+                f"Argument `file` must be whole, but the model in {path} cannot be read."
+            ) from None
+    different = before.difference(_contents(scene, stepper))
+    if different is not None:
+        must = "be the scene and solver with which the file was written"
+        fail("scene", must, different)
+
+
+def _numbers(handle: h5py.File) -> Iterator[np.ndarray]:
+    for index in itertools.count():
+        yield np.asarray(handle[f"scene/{index}"])
 
 
 def reopen(path: str | Path, carry: Carry) -> tuple[TrajectoryFile, Carry]:
@@ -223,19 +289,21 @@ def reopen(path: str | Path, carry: Carry) -> tuple[TrajectoryFile, Carry]:
     **Arguments**: the path; `carry` of the same structure as the run's. **Returns** the file and the
     carry to go on from. **Raises** `ValueError` (`DamagedFile`) if anything does not fit.
     """
+    refuse_written_here(path, path)
     handle = _open(path, "r+")
     try:
         with _readable(path):
             slot, done, _ = (int(x) for x in np.asarray(handle["mark"]))
             _whole_columns(handle, path, done)
-            carry = _restore(handle, f"checkpoint/{slot}", carry, path, same=False)
+            carry = _restore(handle, f"checkpoint/{slot}", carry, path)
+            seconds = _seconds(handle)
     except BaseException:
         handle.close()
         raise
-    return TrajectoryFile(handle), carry
+    return TrajectoryFile(handle, seconds=seconds), carry
 
 
-def _restore(handle: h5py.File, group: str, like: Any, path: str | Path, same: bool) -> Any:
+def _restore(handle: h5py.File, group: str, like: Any, path: str | Path) -> Any:
     arrays, rest = eqx.partition(like, eqx.is_array)
     leaves, tree = jax.tree.flatten(arrays)
     stored = []
@@ -248,11 +316,6 @@ def _restore(handle: h5py.File, group: str, like: Any, path: str | Path, same: b
             raise DamagedFile(
                 f"Argument `file` must fit scene and solver, but {name} in {path} has shape "
                 f"{value.shape} and type {value.dtype}, not {leaf.shape} and {leaf.dtype}."
-            )
-        if same and not np.array_equal(value, leaf, equal_nan=True):
-            raise ValueError(
-                "Argument `scene` must be the scene with which the file was written, but one of its "
-                f"numbers is {np.ravel(leaf)[:3]} and was {np.ravel(value)[:3]}."
             )
         stored.append(jnp.asarray(value))
     return eqx.combine(jax.tree.unflatten(tree, stored), rest)

@@ -36,6 +36,10 @@ def conjugate_gradients(
 
     **Arguments**: x -> S x; right-hand side; r -> P r, positive as well and close to S^-1.
     """
+    # Squares of small numbers may be too small, in single precision.
+    scale = jnp.max(jnp.abs(rhs), initial=0.0)
+    scale = jnp.where(scale == 0, 1.0, scale)
+    rhs = rhs / scale
     first = precondition(rhs)
     size = rhs @ first
     enough = tolerance(rhs.dtype) ** 2 * size
@@ -55,4 +59,4 @@ def conjugate_gradients(
 
     start = jnp.zeros_like(rhs), rhs, first, size, jnp.zeros((), int)
     x, _, _, size, count = lax.while_loop(unfinished, body, start)
-    return Found(jnp.where(size <= enough, x, jnp.nan), count)
+    return Found(jnp.where(size <= enough, scale * x, jnp.nan), count)

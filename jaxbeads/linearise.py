@@ -9,7 +9,6 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from ._checks import fail
-from ._compat import Literal
 from .coordinates import Coordinates
 from .dynamics import (
     applied_load,
@@ -22,6 +21,7 @@ from .flow import AbstractFlow
 from .flow.base import spin_and_strain, velocity_and_gradient
 from .mobility import MatrixFree, MobilityOperator
 from .pairs import PairTensor
+from .programs import reached
 from .saddle import (
     Factorised,
     Iterations,
@@ -82,7 +82,7 @@ def linearise(
     held, multipliers = (free, None) if system is None else system.hold(free)
 
     def still(motion: Motion) -> Array:
-        return coordinates.rate(coordinates.origin, state, moving(motion, state))
+        return coordinates.rate(coordinates.origin, state, moving(motion, state, scene.chain))
 
     later = _drift(t, state, scene, operator, system, held)
     drift = jnp.zeros_like(coordinates.origin) if later is None else still(later)
@@ -111,10 +111,10 @@ def _jacobian(
         moved = _hold_columns(t, state, shifts, scene, system, held, moved)
 
     def turned(at: tuple[Array, State]) -> Array:
-        return coordinates.rate(*at, moving(held, at[1]))
+        return coordinates.rate(*at, moving(held, at[1], scene.chain))
 
     def still(motion: Motion) -> Array:
-        return coordinates.rate(x, state, moving(motion, state))
+        return coordinates.rate(x, state, moving(motion, state, scene.chain))
 
     columns = jax.vmap(still)(moved) + _columns(turned, (x, state), (units, shifts))
     return columns.T
@@ -134,7 +134,7 @@ def _drift(
         slip = None if system is None else slips(t, state, scene)(held)
         return free_motion(t, state, scene, operator), slip
 
-    if not any(_reached(terms, t)):
+    if not any(reached(terms, t)):
         return None
     free, slip = jax.jvp(terms, (t,), (jnp.ones_like(t),))[1]
     if system is None or slip is None:
@@ -147,16 +147,6 @@ def _columns(function: Callable[[Any], Any], at: Any, shifts: Any) -> Any:
     """Derivatives of a cheap function along shifts, a leading axis."""
     _, push = jax.linearize(function, at)
     return jax.vmap(push)(shifts)
-
-
-def _reached(function: Callable[[Any], Any], at: Any) -> list[bool]:
-    """Which of the arrays that a function returns depend on its argument at all."""
-    program = jax.make_jaxpr(function)(at).jaxpr
-    reached = set(program.invars)
-    for step in program.eqns:
-        if any(v in reached for v in step.invars if not isinstance(v, Literal)):
-            reached.update(step.outvars)
-    return [not isinstance(v, Literal) and v in reached for v in program.outvars]
 
 
 def _explicit_columns(
@@ -183,7 +173,7 @@ def _explicit_columns(
         scene.viscosity,
         scene.rotational,
         load(state),
-        None if scene.flow is None else _strain(scene.flow, t),
+        None if scene.flow is None else _strain(scene.flow, t, scene.chain.radius),
         shifts.position,
     )
     if interactions is not None:
@@ -192,16 +182,16 @@ def _explicit_columns(
         moved = add_motions(moved, _columns(lambda s: carried(t, s, scene), state, shifts))
     # Loads that are the same everywhere, as weights, have no columns.
     parts = {name: part for name, part in vars(load(state)).items() if part is not None}
-    varying = [n for n, r in zip(parts, _reached(load, state), strict=True) if r]
+    varying = [n for n, r in zip(parts, reached(load, state), strict=True) if r]
     if varying:
         loads = _columns(lambda s: {n: getattr(load(s), n) for n in varying}, state, shifts)
         moved = add_motions(moved, jax.vmap(lambda part: operator.motion(Load(**part)))(loads))
     return moved
 
 
-def _strain(flow: AbstractFlow, t: Array) -> Callable[[Array], Array]:
+def _strain(flow: AbstractFlow, t: Array, radius: Array) -> Callable[[Array], Array]:
     """The ambient rate of strain at positions."""
-    return lambda position: spin_and_strain(velocity_and_gradient(flow, t, position)[1])[1]
+    return lambda position: spin_and_strain(velocity_and_gradient(flow, t, position, radius)[1])[1]
 
 
 def _hold_columns(

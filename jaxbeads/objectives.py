@@ -9,6 +9,7 @@ converges faster than any power of the number of times.
 from collections.abc import Callable
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
@@ -18,8 +19,9 @@ from ._checks import non_zero, positive, shape
 from .dynamics import constraint_load
 from .geometry import norm
 from .observables import power, swimming_efficiency
-from .rollout import Solution
 from .scene import Scene
+from .solution import Solution
+from .state import State
 
 __all__ = [
     "displacement",
@@ -34,10 +36,18 @@ __all__ = [
 
 
 def mean_over_time(function: Callable[..., Any], solution: Solution, scene: Scene) -> Any:
-    """Mean of `function(t, state, scene)` over the solution's time: an array or a tree of them."""
-    gaps = jnp.diff(solution.ts)
+    """Mean of `function(t, state, scene)` over the solution's time: an array or a tree of them.
+
+    It is compiled once for a function and the shapes of solution and scene: a function that is defined
+    anew for each call is compiled at each call."""
+    return _mean(function, solution.ts, solution.states, scene)
+
+
+@eqx.filter_jit
+def _mean(function: Callable[..., Any], ts: Array, states: State, scene: Scene) -> Any:
+    gaps = jnp.diff(ts)
     weights = 0.5 * (jnp.pad(gaps, (0, 1)) + jnp.pad(gaps, (1, 0))) / jnp.sum(gaps)
-    values = lax.map(lambda at: function(at[0], at[1], scene), (solution.ts, solution.states))
+    values = lax.map(lambda at: function(at[0], at[1], scene), (ts, states))
     return jax.tree.map(lambda v: jnp.tensordot(weights, v, axes=1), values)
 
 
@@ -82,13 +92,14 @@ def thrust(solution: Solution, scene: Scene, direction: Any) -> Float[Array, ""]
     **Raises** `ValueError` for a direction that is zero or of another dimension."""
     shape("direction", direction, solution.states.position.shape[-1:])
     non_zero("direction", direction)
-
-    def held(t: Array, state: Any, scene: Scene) -> Array:
-        force = constraint_load(t, state, scene).force
-        return jnp.zeros_like(state.position[0]) if force is None else -jnp.sum(force, axis=0)
-
     along = jnp.asarray(direction, float)
-    return mean_over_time(held, solution, scene) @ (along / jnp.linalg.norm(along))
+    return mean_over_time(_held, solution, scene) @ (along / jnp.linalg.norm(along))
+
+
+def _held(t: Array, state: State, scene: Scene) -> Array:
+    """Minus the sum of the constraints' forces."""
+    force = constraint_load(t, state, scene).force
+    return jnp.zeros_like(state.position[0]) if force is None else -jnp.sum(force, axis=0)
 
 
 def shape_error(solution: Solution, data: Any, *, moved: bool = False) -> Float[Array, ""]:

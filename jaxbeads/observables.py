@@ -5,6 +5,7 @@ Functions of positions take any leading axes (times); pass `solution.states.posi
 
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,7 +23,7 @@ from .dynamics import (
 from .geometry import bonds, cross, norm, tangents
 from .mobility import RPY, AbstractMobility
 from .scene import Scene
-from .state import Load, State, add_loads, spins
+from .state import Load, Motion, State, add_loads, spins
 
 __all__ = [
     "bond_length_error",
@@ -60,39 +61,59 @@ def curvature(position: Float[Array, "*times beads dim"], chain: Chain) -> Array
 def minimal_radius_of_curvature(
     position: Float[Array, "*times beads dim"], chain: Chain
 ) -> Float[Array, "*times"]:
-    """Smallest radius of curvature along the fibres [length]; infinite when straight."""
-    largest = jnp.max(jnp.abs(curvature(position, chain)), axis=-1)
-    return 1 / largest
+    """Smallest radius of curvature along the fibres [length]; infinite when straight, or where no fibre
+    has three beads."""
+    largest = jnp.max(jnp.abs(curvature(position, chain)), axis=-1, initial=0.0)
+    return jnp.where(largest == 0, jnp.inf, 1 / jnp.where(largest == 0, 1.0, largest))
 
 
-def end_to_end_distance(position: Float[Array, "*times beads dim"]) -> Float[Array, "*times"]:
-    """Distance of the first and the last bead's centres [length]."""
-    return norm(position[..., -1, :] - position[..., 0, :])
+def _ends(position: Array, chain: Chain | None) -> Array:
+    """Vectors from first beads to last ones: of each fibre, or of all beads as one fibre."""
+    if chain is None:
+        return position[..., -1, :] - position[..., 0, :]
+    last = np.cumsum(chain.fibres) - 1
+    return position[..., last, :] - position[..., last + 1 - np.array(chain.fibres), :]
+
+
+def end_to_end_distance(
+    position: Float[Array, "*times beads dim"], chain: Chain | None = None
+) -> Float[Array, "*values"]:
+    """Distance of the first and the last bead's centres [length]: of each fibre of the `chain`, shape
+    `(*times, fibres)`, or, without one, of all beads taken as one fibre, `times`."""
+    return norm(_ends(position, chain))
 
 
 def deflection(
     position: Float[Array, "*times beads dim"], direction: Any
 ) -> Float[Array, "*times"]:
-    """Distance of the extreme bead centres along `direction` (A of the settling fibre) [length]."""
+    """Distance of the extreme centres of all beads along `direction` (A of the settling fibre)
+    [length]."""
     unit = jnp.asarray(direction) / jnp.linalg.norm(jnp.asarray(direction))
     height = position @ unit
     return jnp.max(height, axis=-1) - jnp.min(height, axis=-1)
 
 
-def tilt(position: Float[Array, "*times beads dim"], direction: Any) -> Float[Array, "*times"]:
-    """How much further the last bead is along `direction` than the first [length]."""
+def tilt(
+    position: Float[Array, "*times beads dim"], direction: Any, chain: Chain | None = None
+) -> Float[Array, "*values"]:
+    """How much further the last bead is along `direction` than the first [length]; `chain` as for
+    `end_to_end_distance`."""
     unit = jnp.asarray(direction) / jnp.linalg.norm(jnp.asarray(direction))
-    return (position[..., -1, :] - position[..., 0, :]) @ unit
+    return _ends(position, chain) @ unit
 
 
-def orientation(position: Float[Array, "*times beads dim"]) -> Float[Array, "*times"]:
-    """Angle of the end-to-end vector in the x-y plane, from x [rad], in (-pi, pi]."""
-    ends = position[..., -1, :] - position[..., 0, :]
+def orientation(
+    position: Float[Array, "*times beads dim"], chain: Chain | None = None
+) -> Float[Array, "*values"]:
+    """Angle of the end-to-end vector in the x-y plane, from x [rad], in (-pi, pi]; `chain` as for
+    `end_to_end_distance`."""
+    ends = _ends(position, chain)
     return jnp.arctan2(ends[..., 1], ends[..., 0])
 
 
 def orbit_period(ts: Any, position: Any) -> float:
-    """Period of rotation in the x-y plane: twice the time of the first half turn [time].
+    """Period of rotation in the x-y plane of the vector from the first bead of all to the last: twice
+    the time of the first half turn [time].
 
     Cubic interpolation between saved times. A host function (not for `jit`).
 
@@ -130,8 +151,9 @@ def settling_velocity(t: Time, state: State, scene: Scene) -> Float[Array, " dim
 def friction_coefficient(t: Time, state: State, scene: Scene, force: Any) -> Float[Array, ""]:
     """gamma = F / V for the total force F [force time/length], V the mean velocity along F."""
     force = jnp.asarray(force)
-    size = jnp.linalg.norm(force)
-    return size**2 / jnp.dot(settling_velocity(t, state, scene), force)
+    size = jnp.max(jnp.abs(force))  # a square of the force itself may be too small
+    size = size * jnp.linalg.norm(force / jnp.where(size == 0, 1.0, size))
+    return size / jnp.dot(settling_velocity(t, state, scene), force / size)
 
 
 def power(t: Time, state: State, scene: Scene) -> Float[Array, ""]:
@@ -151,11 +173,19 @@ def power(t: Time, state: State, scene: Scene) -> Float[Array, ""]:
 
 def swimming_efficiency(speed: Any, mean_power: Any, scene: Scene) -> Float[Array, ""]:
     """Lighthill's efficiency: power to tow the straight, rigid fibre at the swimming speed along its
-    axis, over the mean power of the stroke, gamma_par V^2 / P."""
+    axis, over the mean power of the stroke, gamma_par V^2 / P.
+
+    **Raises** `ValueError` for several fibres, which have no common axis."""
+    if (several := len(scene.chain.fibres)) > 1:
+        fail("scene.chain", "be one fibre", f"it has {several}")
     dim = 2
     flat = straight(scene.chain, np.eye(dim)[0]).position
     drag = rigid_resistance(flat, scene.chain, scene.viscosity, scene.mobility)[0, 0]
     return drag * jnp.asarray(speed) ** 2 / mean_power
+
+
+def _spin(motion: Motion) -> Array:
+    return jnp.zeros_like(motion.velocity[..., :0]) if motion.spin is None else motion.spin
 
 
 def rigid_resistance(
@@ -166,14 +196,22 @@ def rigid_resistance(
     The 6 x 6 matrix (3 x 3 in the plane) that maps (velocity, spin) to (force, torque): K^T M^-1 K,
     where K gives each bead the body's velocity and spin.
     """
-    position = jnp.asarray(position)
+    return _resistance(jnp.asarray(position), chain, jnp.asarray(viscosity, float), mobility)
+
+
+@eqx.filter_jit
+def _resistance(
+    position: Array, chain: Chain, viscosity: Array, mobility: AbstractMobility
+) -> Array:
     beads, dim = position.shape
     turns = spins(dim)
-    operator = mobility.operator(position, chain.radius, jnp.asarray(viscosity, float), True)
+    operator = mobility.operator(position, chain.radius, viscosity, True)
+    # Spins times a length and torques over it: pivots must not depend on the unit of length.
+    length = jnp.max(chain.radius)
 
     def column(unit: Array) -> Array:
-        moved = operator.motion(Load(unit[:, :dim], unit[:, dim:]))
-        return jnp.concatenate(jax.tree.leaves(moved), axis=1).ravel()
+        moved = operator.motion(Load(unit[:, :dim], length * unit[:, dim:]))
+        return jnp.concatenate([moved.velocity, length * _spin(moved)], axis=1).ravel()
 
     size = beads * (dim + turns)
     matrix = jax.vmap(column)(jnp.eye(size).reshape(size, beads, dim + turns))
@@ -184,7 +222,8 @@ def rigid_resistance(
             velocity = jnp.stack([-arm[:, 1], arm[:, 0]], axis=1)
         else:
             velocity = jnp.cross(jnp.broadcast_to(unit, arm.shape), arm)
-        rows.append(jnp.concatenate([velocity, jnp.broadcast_to(unit, (beads, turns))], axis=1))
+        spin = jnp.broadcast_to(length * unit, (beads, turns))
+        rows.append(jnp.concatenate([velocity, spin], axis=1))
     moves = [jnp.tile(np.eye(dim + turns)[i], (beads, 1)) for i in range(dim)]
     body = jnp.stack([row.ravel() for row in (*moves, *rows)], axis=1)
     return body.T @ jnp.linalg.solve(matrix, body)

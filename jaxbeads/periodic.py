@@ -13,8 +13,9 @@ from .dynamics import Time
 from .geometry import normals
 from .rollout import default_solver, rollout
 from .scene import Scene, check
+from .solver import Rosenbrock
 from .state import State
-from .steady import Outcome, Shape, or_nothing, root
+from .steady import Outcome, Problem, Shape, generators, or_nothing, refuse, root
 
 
 class PeriodicState(eqx.Module):
@@ -70,7 +71,10 @@ def periodic_state(
     Sought is a shape to which the scene returns after one period. Each step of Newton's method follows
     that period from two displaced starts for each coordinate of the shape, all at once. No transient is
     stepped through, and none is differentiated: derivatives, in both modes, follow from the implicit
-    function theorem. A start within a period or two of the limit is near enough in most scenes.
+    function theorem: by scene, period and time; by the start in what it decides, as the place and the
+    direction of a clamp. Of motions that differ by a shift or a turn, that one is meant whose first
+    place is the start's and whose shape lies best on the start. A start within a period or two of the
+    limit is near enough in most scenes.
 
     **Arguments**
 
@@ -86,6 +90,7 @@ def periodic_state(
     none is found (under `jit`, which cannot raise, `converged` is false and the numbers are NaN).
     """
     check(scene, state)
+    state = scene.begin(state)
     positive("period", period)
     positive("accuracy", accuracy)
     whole("max_steps", max_steps, 1)
@@ -94,15 +99,29 @@ def periodic_state(
     ts = jnp.stack([jnp.asarray(t, float), jnp.asarray(t, float) + period])
     whole("substeps", substeps, 1)
     solver = default_solver(scene) if solver is None else solver
-    found = _solve(
-        scene, state, ts, moving, turning, solver, substeps, jnp.asarray(accuracy), max_steps
-    )
-    if known(found) and not bool(found.converged):
+    problem = Problem(scene, ts, state)
+    accurate = jnp.asarray(accuracy)
+    found, last = _solve(problem, moving, turning, solver, substeps, accurate, max_steps)
+    if known((found, last, problem)) and not bool(found.converged):
+        _refuse(problem, last, solver, substeps)
         raise RuntimeError(
             f"No periodic state was found in {max_steps} steps from this start: give one that is "
             "nearer, as the end of a `rollout` over a few periods, or loosen `accuracy`."
         )
     return found
+
+
+def _refuse(problem: Problem, last: State, solver: diffrax.AbstractSolver, substeps: int) -> None:
+    """Name the term that breaks a period from the last shape that was tried, if there is one."""
+    ts = jnp.linspace(problem.ts[0], problem.ts[1], substeps + 1)
+    run = rollout(problem.scene, last, ts, solver=solver, substeps=1)
+    fine = np.isfinite(np.asarray(run.states.position)).all(axis=(1, 2))
+    if not fine.all():
+        at = max(int(np.argmin(fine)) - 1, 0)
+        state = jax.tree.map(lambda x: x[at], run.states)
+        implicit = isinstance(solver, (Rosenbrock, diffrax.AbstractImplicitSolver))
+        for t in ts[at : at + 2]:  # what fails may do so at the end of the step only
+            refuse(float(t), state, problem.scene, "periodic", implicit)
 
 
 class _Figure(eqx.Module):
@@ -128,11 +147,13 @@ class _Figure(eqx.Module):
 def _figure(shape: Shape, state: State) -> _Figure:
     chart, dim = shape.chart, state.position.shape[1]
     none = jnp.zeros((0, dim), state.position.dtype)
-    loose = none if state.director is None else state.director
+    carried = [v for v in (state.director, state.normal) if v is not None]
     if chart.constraint is None:
-        return _Figure(state.position, none, loose)
+        return _Figure(state.position, none, jnp.concatenate([none, *carried]))
     directions = chart.constraint.directions(state, chart.chain)
-    loose = none if chart.constraint.oriented else loose
+    if chart.constraint.oriented:
+        carried = [v for v in (state.normal,) if v is not None]
+    loose = jnp.concatenate([none, *carried])
     return _Figure(chart.places(state.position), directions, loose)
 
 
@@ -150,63 +171,72 @@ def _rotation(first: _Figure, last: _Figure) -> Array:
     return (u.at[:, -1].multiply(sign)) @ v
 
 
-def _generators(dim: int) -> np.ndarray:
-    """Antisymmetric matrices: the directions in which one may turn."""
-    pairs = [(i, j) for i in range(dim) for j in range(i)]
-    matrices = np.zeros((len(pairs), dim, dim))
-    for matrix, (i, j) in zip(matrices, pairs, strict=True):
-        matrix[i, j], matrix[j, i] = 1, -1
-    return matrices
+def _turned_by(first: _Figure, last: _Figure) -> Array:
+    """Turns c_k by which the first figure lies best on the last (where small): last = first + sum of
+    c_k (first turned by W_k)."""
+
+    def rows(figure: _Figure) -> Array:
+        points = figure.points - figure.points.mean(axis=0, keepdims=True)
+        size = jnp.max(jnp.abs(lax.stop_gradient(first.points)))
+        points = points / jnp.where(size > 0, size, 1.0)
+        return jnp.concatenate([points, figure.vectors, figure.loose])
+
+    a, b = rows(first), rows(last)
+    return jnp.einsum("rd,kde,re->k", a, generators(a.shape[1]).astype(a.dtype), b) / jnp.sum(a * a)
 
 
 @eqx.filter_jit
 def _solve(
-    scene: Scene,
-    start: State,
-    ts: Array,
+    problem: Problem,
     moving: bool,
     turning: bool,
     solver: diffrax.AbstractSolver,
     substeps: int,
     accuracy: Array,
     max_steps: int,
-) -> PeriodicState:
-    dim = start.position.shape[1]
+) -> tuple[PeriodicState, State]:
+    dim = problem.start.position.shape[1]
 
-    def system(shape: Shape, y: Array, scene: Scene) -> Outcome:
-        """The change of the shape in a period; displacement and rotation of the whole."""
+    def system(shape: Shape, y: Array, problem: Problem) -> Outcome:
+        """The change of the shape in a period; displacement and rotation of the whole, and what is no
+        part of the change of the shape."""
         state = shape.state(y)
-        after = rollout(scene, state, ts, solver=solver, substeps=substeps).final
+        run = rollout(problem.scene, state, problem.ts, solver=solver, substeps=substeps)
+        after = run.final
         displacement = jnp.mean(after.position - state.position, axis=0)
         first, last = _figure(shape, state), _figure(shape, after)
         if not turning:
             apart = jax.tree.map(jnp.subtract, last, first).coordinates(shape, moving)
-            return apart, jnp.concatenate([displacement, jnp.eye(dim).ravel()])
+            rotation = jnp.eye(dim).ravel()
+            return apart, jnp.concatenate([displacement, rotation, jnp.zeros_like(apart)])
         back = _rotation(lax.stop_gradient(last), lax.stop_gradient(first))
+        begun, now = _figure(shape, problem.start), first
         first, last = first.turned(jnp.eye(dim)), last.turned(back)
         apart = jax.tree.map(jnp.subtract, last, first).coordinates(shape, moving)
         # What is left of a turn, apart = sum of c_k (first turned by W_k), does not count.
-        still, generators = lax.stop_gradient(first), jnp.asarray(_generators(dim))
-        basis = jax.vmap(lambda w: still.turned(w).coordinates(shape, moving), out_axes=1)(
-            generators
-        )
+        still, matrices = lax.stop_gradient(first), jnp.asarray(generators(dim))
+        basis = jax.vmap(lambda w: still.turned(w).coordinates(shape, moving), out_axes=1)(matrices)
         left = jnp.linalg.pinv(basis) @ apart
-        rotation = back @ (jnp.eye(dim) - jnp.einsum("k,kij->ij", left, generators))
-        return apart - basis @ left, jnp.concatenate([displacement, rotation.ravel()])
+        rotation = back @ (jnp.eye(dim) - jnp.einsum("k,kij->ij", left, matrices))
+        # Of all the shapes that are turned copies the one that lies best on the start is meant.
+        turn = basis @ _turned_by(begun, now)
+        sought = jnp.concatenate([displacement, rotation.ravel(), turn])
+        return apart - basis @ left + turn, sought
 
-    def linear(shape: Shape, scene: Scene) -> tuple[Outcome, Outcome]:
+    def linear(shape: Shape, problem: Problem) -> tuple[Outcome, Outcome]:
         # Central differences of equal steps, which are smooth: a program of tangents takes more than
         # twice as long to compile.
         count, dtype = len(shape.origin), shape.origin.dtype
         small = float(jnp.finfo(dtype).eps) ** (1 / 3)
         units = small * jnp.eye(count, dtype=dtype)
         at = jnp.concatenate([shape.origin[None], units, -units])
-        found = jax.vmap(lambda y: system(shape, y, scene))(at)
+        found = jax.vmap(lambda y: system(shape, y, problem))(at)
         slopes = jax.tree.map(lambda x: (x[1 : count + 1] - x[count + 1 :]).T / (2 * small), found)
         return jax.tree.map(lambda x: x[0], found), slopes
 
-    state, sought, found, jacobian = root(
-        system, linear, scene, start, moving, accuracy, max_steps, neutral=1e-6
-    )
-    displacement, rotation = sought[:dim], sought[dim:].reshape(dim, dim)
-    return or_nothing(found, PeriodicState(state, displacement, rotation, found, jacobian))
+    at = root(system, linear, problem, moving, accuracy, max_steps, neutral=1e-6, exact=False)
+    displacement, rotation, _ = jnp.split(at.sought, [dim, dim + dim * dim])
+    jacobian = at.jacobians[0] - at.jacobians[1][dim + dim * dim :]
+    rotation = rotation.reshape(dim, dim)
+    result = PeriodicState(at.state, displacement, rotation, at.found, jacobian)
+    return or_nothing(at.found, result), at.last

@@ -22,7 +22,7 @@ from PIL import Image
 from ._checks import fail, whole
 from .chain import Chain
 from .observables import curvature
-from .rollout import Solution
+from .solution import Solution
 
 
 def _figure(axes: Axes | None, size: tuple[float, float]) -> tuple[Figure, Axes]:

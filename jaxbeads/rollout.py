@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from ._checks import fail, increasing, kind, known, positive, whole
 from ._typing import float_array
@@ -17,6 +17,7 @@ from .constraint import AbstractChainConstraint
 from .dynamics import constraint_residual
 from .force import AbstractForce
 from .scene import Scene, check
+from .solution import Solution, solver_number
 from .solver import AB3, AdaptiveSteps, FixedSteps, Rosenbrock
 from .solver.stepping import Carry, substeps_for
 from .solver.tolerance import controller_for, default_tolerance
@@ -25,49 +26,8 @@ from .state import State
 Stepper = FixedSteps | AdaptiveSteps
 Tolerance = Float[Array, ""] | float
 _BOND_TOLERANCE = 0.01
-
-
-class Solution(eqx.Module):
-    """A trajectory.
-
-    - `ts`: times, `(times,)`; `states`: `State` with a leading axis of times.
-    - `steps`: attempted steps; `code`: 0 when all went well (see `solver.stepping.Carry`).
-    - `residual`: constraint residual at each time, see `dynamics.constraint_residual`;
-      `bond_length_error`: largest relative error of a bond at each time. The first is `None` from
-      `rollout`.
-    - `wall_s`, `compile_s`: seconds in all, and of them for compiling (`simulate` only).
-    - `status`: "finished", "stopped by `until`" or "interrupted" (`simulate` only).
-    """
-
-    ts: Float[Array, " times"]
-    states: State
-    steps: Int[Array, ""]
-    code: Int[Array, ""]
-    residual: Float[Array, " times"] | None = None
-    bond_length_error: Float[Array, " times"] | None = None
-    wall_s: float = eqx.field(static=True, default=0.0)
-    compile_s: float = eqx.field(static=True, default=0.0)
-    status: str = eqx.field(static=True, default="finished")
-
-    @property
-    def final(self) -> State:
-        """State at the last time."""
-        return jax.tree.map(lambda x: x[-1], self.states)
-
-    def summary(self) -> str:
-        """What was done, in a few lines."""
-        times, beads, dim = self.states.position.shape
-        lines = [
-            f"{times} states of {beads} beads in {dim}-D, t = {float(self.ts[0]):g} to "
-            f"{float(self.ts[-1]):g}, {int(self.steps)} steps, {self.status}",
-            f"wall time {self.wall_s:.2f} s, of which compiling {self.compile_s:.2f} s",
-        ]
-        if self.residual is not None and self.bond_length_error is not None:
-            lines.append(
-                f"constraint residual {np.max(self.residual):.1e}, "
-                f"bond-length error {np.max(self.bond_length_error):.1e}"
-            )
-        return "\n".join(lines)
+_LAW_TOLERANCE = 0.01
+_LEAST_STEP = 100
 
 
 def default_solver(scene: Scene) -> diffrax.AbstractSolver:
@@ -99,6 +59,7 @@ def stepper_for(
         fail("solver", must, "it is Rosenbrock (`RPY(dense=True)` makes it dense at any size)")
     solver = _both_modes(solver)
     whole("max_steps", max_steps, 1)
+    _check_distinct(ts)
     if tolerance is not None:
         controller = _controller(scene, ts, solver, substeps, controller, tolerance)
     elif substeps is None and controller is None and _adaptive(solver):
@@ -118,11 +79,8 @@ def stepper_for(
     if isinstance(solver, diffrax.AbstractImplicitSolver) and _missing(solver):
         must = "be given with an implicit solver, whose root finder takes its tolerances from it"
         fail("controller", must, "it is None")
-    if isinstance(solver, AB3) and known(ts):
-        gaps = np.diff(np.asarray(ts))
-        if np.ptp(gaps) > 1e-6 * np.max(gaps):
-            must = "be evenly spaced for AB3, whose steps are equal"
-            fail("ts", must, f"its intervals range from {gaps.min():g} to {gaps.max():g}")
+    if isinstance(solver, AB3):
+        _check_even(ts)
     if substeps is None:
         if not known((ts, scene)):
             must = "be given when the scene or the times are traced"
@@ -130,7 +88,48 @@ def stepper_for(
             fail("substeps", must, how)
         substeps = substeps_for(scene, ts, None)
     whole("substeps", substeps, 1)
+    _check_resolved(ts, substeps)
     return FixedSteps(solver, substeps, bool(projected))
+
+
+def _check_distinct(ts: Array) -> None:
+    """Times that differ may be the same in the precision of the state."""
+    if known(ts) and not np.all(np.diff(np.asarray(ts)) > 0):
+        k = int(np.argmin(np.diff(np.asarray(ts)) > 0))
+        must = f"differ by more than the rounding of {ts.dtype}, in which the state is"
+        fail("ts", must, f"there entries {k} and {k + 1} are both {float(ts[k]):.9g}")
+
+
+def _check_even(ts: Array) -> None:
+    """Equal intervals, up to the rounding of the times."""
+    if not known(ts):
+        return
+    times = np.asarray(ts)
+    single = times.astype(np.float32)
+    # Times that single precision holds may come from there.
+    rounding = _spacing(single if np.all(single == times) else times)
+    gaps = np.diff(times)
+    if np.ptp(gaps) > 1e-6 * np.max(gaps) + 4 * rounding:
+        must = "be evenly spaced for AB3, whose steps are equal"
+        fail("ts", must, f"its intervals range from {gaps.min():g} to {gaps.max():g}")
+
+
+def _check_resolved(ts: Array, substeps: int) -> None:
+    """Equal steps are differences of times, whose rounding must be a small part of them."""
+    if not known(ts):
+        return
+    times = np.asarray(ts)
+    step, rounding = float(np.min(np.diff(times))) / substeps, _spacing(times)
+    if step < _LEAST_STEP * rounding:
+        last = float(np.max(np.abs(times)))
+        must = f"leave equal steps of at least {_LEAST_STEP} times the rounding of the times"
+        but = f"the steps are {step:.3g}, and near t = {last:g} times are rounded to {rounding:.2g}"
+        fail("ts", must, f"{but} in {ts.dtype} (start nearer to t = 0, or take longer steps)")
+
+
+def _spacing(times: np.ndarray) -> float:
+    """Distance of neighbouring numbers at the largest time."""
+    return float(np.spacing(np.max(np.abs(times))))
 
 
 def _both_modes(solver: diffrax.AbstractSolver) -> diffrax.AbstractSolver:
@@ -220,9 +219,9 @@ def rollout(
 
     Pure: use it under `jax.jit`, `jax.vmap` and `jax.grad` with respect to anything numeric in
     `scene`, `state` and `ts`. It cannot raise while it runs: look at `code`, which is 0 only if all
-    numbers are finite and bonds kept their lengths to 1 %. Steps that are too long show there first.
-    Constraints that depend on one another give NaN. For files, progress, warnings and a check on the
-    way, use `simulate`.
+    numbers are finite, bonds kept their lengths to 1 %, and prescribed places their laws. Steps that are
+    too long show there first. Constraints that depend on one another give NaN. For files, progress,
+    warnings and a check on the way, use `simulate`.
 
     **Arguments**
 
@@ -244,14 +243,26 @@ def rollout(
     """
     check(scene, state, single_precision=single_precision)
     increasing("ts", ts)
+    state = scene.begin(state)
     ts = float_array(ts).astype(state.position.dtype)
     stepper = stepper_for(scene, ts, solver, substeps, controller, tolerance, projected, max_steps)
+    return _trajectory(stepper, scene, state, ts)
+
+
+@eqx.filter_jit
+def _trajectory(
+    stepper: Stepper, scene: Scene, state: State, ts: Float[Array, " times"]
+) -> Solution:
+    """The core of `rollout`: one compiled program for all scenes of one shape."""
     carry, states = advance(stepper, scene, stepper.init(scene, state, ts[0], ts[1]), ts)
     states = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), state, states)
     errors = bond_errors(scene, lax.stop_gradient(states))
     good = jnp.all(jnp.isfinite(states.position)) & (jnp.max(errors) <= _BOND_TOLERANCE)
     code = jnp.where((carry.code == 0) & ~good, 3, carry.code)
-    return Solution(ts, states, carry.steps, code, bond_length_error=errors)
+    lost = jnp.max(law_errors(scene, stepper, *lax.stop_gradient((ts, states))), initial=0.0)
+    code = jnp.where((code == 0) & (lost > _LAW_TOLERANCE), 5, code)
+    method = solver_number(stepper.solver)
+    return Solution(ts, states, carry.steps, code, bond_length_error=errors, method=method)
 
 
 def bond_errors(scene: Scene, states: State) -> Float[Array, " times"]:
@@ -266,6 +277,26 @@ def bond_errors(scene: Scene, states: State) -> Float[Array, " times"]:
         return error
 
     return jax.vmap(one)(states)
+
+
+def law_errors(
+    scene: Scene, stepper: Stepper, ts: Float[Array, " times"], states: State
+) -> Float[Array, " constraints"]:
+    """How far each constraint with a law of places is off it at most, over how far the law leads; 0 for
+    others, and within what the steps' tolerance allows."""
+    start, length = (ts[0], jax.tree.map(lambda x: x[0], states)), jnp.max(scene.chain.length)
+    allowed = 1e-9 * length
+    if isinstance(stepper, AdaptiveSteps):
+        allowed = 100 * getattr(stepper.controller, "atol", 0.0) + allowed
+    errors = []
+    for constraint in scene.constraints:
+        found = jax.vmap(lambda t, s, c=constraint: c.off_law(t, s, start, scene.chain))(ts, states)
+        if found is None:
+            errors.append(jnp.zeros((), ts.dtype))
+            continue
+        off, led = (jnp.max(jnp.abs(x), initial=0.0) for x in found)
+        errors.append(jnp.maximum(off - allowed, 0.0) / jnp.maximum(led, length * 1e-9))
+    return jnp.stack(errors) if errors else jnp.zeros(0, ts.dtype)
 
 
 def diagnostics(

@@ -186,6 +186,8 @@ class SaddlePoint(NamedTuple):
 
     def multipliers(self, slip: Array) -> Array:
         """-S^-1 slip; NaN where S is singular."""
+        if slip.size == 0:  # as one bead under `Gears`
+            return -slip
 
         def compliance(x: Array) -> Array:
             return self.constraints.compliance(self.operator, x)

@@ -1,5 +1,6 @@
 """`Scene`: the model, all parameters and terms; `check`: whether a state fits it."""
 
+import warnings
 from collections.abc import Iterable
 from typing import Any
 
@@ -9,16 +10,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._checks import described, fail, finite, kind, positive, shape
-from ._compat import Tracer
+from ._checks import described, fail, finite, kind, known, positive, shape
 from ._typing import float_array
 from .chain import Chain
+from .coincidence import overlaid
 from .constraint import AbstractConstraint, Joint
 from .flow import AbstractFlow
-from .force import AbstractForce, Bending, JointBending
-from .geometry import smallest_gap
+from .force import AbstractForce, Bending, BendingEnergy, JointBending
+from .frames import framed
+from .geometry import norm, smallest_gap
 from .mobility import RPY, AbstractMobility
 from .state import State
+
+_UNIT = 0.01
+"""How far the length of a director may be off one."""
 
 
 def _terms(terms: Any) -> Any:
@@ -68,6 +73,13 @@ class Scene(eqx.Module):
         """Whether directors take part, which any one term may ask for."""
         return any(term.oriented for term in (*self.constraints, *self.forces))
 
+    def begin(self, state: State) -> State:
+        """A state with all that the terms need: normals of its fibres, where a drive acts along them."""
+        planar = state.position.shape[1] == 2
+        if planar or not any(force.framed(self.chain) for force in self.forces):
+            return state
+        return framed(state, self.chain)
+
 
 def _check_kinds(name: str, terms: Any, wanted: type) -> None:
     if not isinstance(terms, tuple):
@@ -76,6 +88,32 @@ def _check_kinds(name: str, terms: Any, wanted: type) -> None:
         if not isinstance(term, wanted):
             hint = " (unpack it with *, as *clamped())" if isinstance(term, tuple) else ""
             fail(name, f"hold {wanted.__name__} objects", f"it holds {described(term)}{hint}")
+
+
+def in_single(dtype: Any) -> str:
+    """What to add to "is not finite" where single precision may be to blame."""
+    if dtype == jnp.float64:
+        return ""
+    return (
+        f" in {jnp.dtype(dtype)}, whose numbers end at 3e38 and 1e-38: take float64, or units in which "
+        "radius and viscosity are nearer to 1"
+    )
+
+
+def _check_range(scene: Scene) -> None:
+    """Refuse mobilities of beads that single precision cannot hold."""
+    radius, viscosity = scene.chain.radius, scene.viscosity
+    if not known((radius, viscosity)):
+        return
+    a, mu = np.asarray(radius, float), float(viscosity)
+    numbers = {"6 pi mu a": 6 * np.pi * mu * a}
+    if scene.rotational:
+        numbers["8 pi mu a^3"] = 8 * np.pi * mu * a**3
+    for name, value in numbers.items():
+        if not np.all((value > 1e-34) & (value < 1e34)):
+            must = "be in units that suit single precision (float32), or in float64"
+            worst = float(np.ravel(value)[np.argmax(np.abs(np.log(value)))])
+            fail("scene", must, f"the friction of a bead, {name}, is {worst:.3g}")
 
 
 def check(
@@ -88,7 +126,8 @@ def check(
     - `overlap`: whether beads may overlap by more than 1 % of a radius.
     - `single_precision`: whether float32 is meant.
 
-    **Raises** `ValueError`. Values that are being traced are not looked at.
+    **Raises** `ValueError`. Warns of fibres with elastic bending that no term holds together. Values
+    that are being traced are not looked at.
     """
     kind("scene", scene, Scene)
     kind("state", state, State)
@@ -105,6 +144,16 @@ def check(
     finite("state.position", position)
     if state.director is not None and not scene.rotational:
         fail("state", "hold no directors", "no term of the scene turns beads")
+    if state.director is not None and known(state.director):
+        off = np.abs(np.asarray(norm(state.director)) - 1)
+        if off.max() > _UNIT:
+            must, bead = "hold unit vectors", int(np.argmax(off))
+            length = float(norm(state.director)[bead])
+            fail("state.director", must, f"that of bead {bead} has length {length:.3g}")
+    fibres = len(chain.fibres)
+    if state.normal is not None and state.normal.shape[0] != fibres:
+        must = f"hold a normal for each of the {fibres} fibres"
+        fail("state.normal", must, f"it holds {state.normal.shape[0]}")
     if state.director is None and scene.oriented:
         names = [type(t).__name__ for t in (*scene.constraints, *scene.forces) if t.oriented]
         must = f"hold directors for {' and '.join(names)}"
@@ -112,6 +161,8 @@ def check(
     for leaf in jax.tree.leaves(scene):
         if position.dtype == jnp.float32 and getattr(leaf, "dtype", None) == jnp.float64:
             fail("scene", "be in float32 as the state is", "it holds numbers in float64")
+    if position.dtype == jnp.float32:
+        _check_range(scene)
     for term in (*scene.constraints, *scene.forces):
         term.check(chain, dim)
     jointed = any(isinstance(c, Joint) for c in scene.constraints)
@@ -122,10 +173,35 @@ def check(
             fail("scene.constraints", "hold Joint beside JointBending", "it does not")
     if scene.flow is not None:
         scene.flow.check(dim)
-    tracers = any(isinstance(x, Tracer) for x in (position, chain.radius))
-    if not overlap and not tracers and beads > 1:
-        radii = np.asarray(chain.radii)
+    _warn_of_loose_fibres(scene)
+    numbers = known((state, chain))
+    if numbers and scene.mobility.interacting and any(c.links for c in scene.constraints):
+        how = overlaid(state, chain, oriented=scene.oriented)
+        if how is not None:
+            fail("state", "hold no bond in the place of another", how)
+    if not overlap and numbers and beads > 1:
+        radii = np.broadcast_to(np.asarray(chain.radius), beads)
         gap, i, j = smallest_gap(np.asarray(position), radii)
         if gap < -0.01 * radii.min():
             must = "hold no overlapping beads in this scene"
             fail("state", must, f"beads {i} and {j} overlap by {-gap:.3g}")
+
+
+def _warn_of_loose_fibres(scene: Scene) -> None:
+    """Bending holds angles, not distances."""
+    chain = scene.chain
+    if not chain.joint_mask.any() or any(t.links for t in (*scene.constraints, *scene.forces)):
+        return
+    for force in scene.forces:
+        if not isinstance(force, (Bending, BendingEnergy)):
+            continue
+        if known(force.rigidity) and not np.any(np.asarray(force.rigidity)):
+            continue
+        warnings.warn(
+            f"{type(force).__name__} bends fibres whose beads nothing holds together: add a chain "
+            "constraint (`Gears`, `Inextensible`), `PrescribedLengths` or `Spring`; a term of your own "
+            "that does it says so by `links = True` in its class (`links=True` in `Potential` and "
+            "`ForceField`).",
+            stacklevel=4,
+        )
+        return

@@ -1,5 +1,6 @@
 """`simulate`: a trajectory for people. Chunks, progress, checks, files, restart."""
 
+import re
 import time
 import warnings
 from collections.abc import Callable
@@ -17,10 +18,12 @@ from ._checks import described, fail, increasing, positive, whole
 from ._compat import CompileClock
 from ._typing import float_array
 from .breakdown import SimulationError, bond_error, explain, locate
-from .dynamics import redundancy
+from .contents import Contents
+from .dynamics import named, redundancy
 from .files import TrajectoryFile, compare, load, planned_times, reopen
-from .rollout import Solution, Stepper, Tolerance, advance, diagnostics, stepper_for
+from .rollout import Stepper, Tolerance, advance, diagnostics, law_errors, stepper_for
 from .scene import Scene, check
+from .solution import Ending, Solution, solver_number
 from .solver import AB3, FixedSteps, explicit_step
 from .solver.stepping import Carry
 from .state import State
@@ -28,6 +31,9 @@ from .state import State
 RESIDUAL_TOLERANCE = 1e-3
 """Constraint residual from which on the constraints count as violated; rounding leaves 1e-14 in float64
 and 1e-6 in float32."""
+
+LAW_TOLERANCE = 1e-3
+"""How far what is prescribed may be off its law, over the law's way, before a warning."""
 
 # One compiled program for all scenes of one shape: everything numeric is an argument.
 _advance = eqx.filter_jit(advance)
@@ -73,7 +79,8 @@ def simulate(
     """Trajectory from `state` at `ts[0]`, saved at the times `ts`, watched from the host.
 
     The same numbers as `rollout`, computed in chunks. After each chunk the run is checked: positions
-    must be finite and bonds must keep their lengths. Ctrl-C stops it and returns what is there.
+    must be finite and bonds must keep their lengths. Ctrl-C stops it and returns what is there. `jit`,
+    `vmap` and `grad` go through `rollout` only.
 
     **Arguments**: as for `rollout`, and
 
@@ -81,7 +88,8 @@ def simulate(
     - `overlap`: whether beads may overlap at the start.
     - `until`: a function of the solution so far; the run ends after the chunk where it is true.
     - `chunk`: save times in a chunk; shortened to a divisor of their number.
-    - `file`: HDF5 file that is written while running; `resume` continues it.
+    - `file`: HDF5 file that is written while running; `resume` continues it. An older one is replaced
+      once the run has begun; one that another run writes is left alone.
     - `progress`: show a progress bar.
 
     **Returns** a `Solution` with residual, bond-length error and timings. **Raises** `ValueError` for
@@ -89,9 +97,14 @@ def simulate(
     with the solution up to the last good state in its field `solution`.
     """
     clock = _Clock()
+    limits = {"bond_tolerance": bond_tolerance, "max_steps": max_steps}
+    steps = {"solver": solver, "tolerance": tolerance, "controller": controller}
+    _refuse_traced("simulate", scene=scene, state=state, ts=ts, **steps, **limits)
     check(scene, state, overlap=overlap, single_precision=single_precision)
+    state = scene.begin(state)
     increasing("ts", ts)
     times = float_array(ts).astype(state.position.dtype)
+    _refuse_traced("simulate", ts=times)
     stepper = stepper_for(
         scene, times, solver, substeps, controller, tolerance, projected, max_steps
     )
@@ -111,7 +124,8 @@ def simulate(
             if how is not None:
                 fail("scene.constraints", "be independent at the start", how)
         if not np.all(np.asarray(first.residual) <= RESIDUAL_TOLERANCE):
-            raise SimulationError(explain(scene, state, float(times[0]), 0, None), first)
+            cause = explain(scene, state, float(times[0]), 0, None)
+            raise SimulationError(cause, run.joined([first], Ending.BROKEN_DOWN, clock))
         if run.target is not None:
             run.target.append(first, carry)
         return run.go(carry, first, 0, clock)
@@ -134,14 +148,25 @@ def resume(
 ) -> Solution:
     """Continue the run of a file, bit for bit as if it had not been interrupted.
 
-    **Arguments**: the file; scene, solver and step options with which it was written (compared with
-    the file); the others as for `simulate`. **Returns** the solution from where the file left off
-    (`files.load` reads the whole). **Raises** `ValueError` if file and arguments do not fit, and as
-    `simulate`.
+    Limits may be others than before: `max_steps` (a run that stopped at it goes on with a larger one),
+    `bond_tolerance`, `until`, `chunk`, `progress`. Everything that decides on the numbers must be as it
+    was and is compared with the file, entry by entry: terms and their classes, each number of the scene,
+    solver, `tolerance`, `substeps`, `controller`, `projected`. A law, or any other plain function, is
+    the same if its code is, with the numbers in its defaults, in its closure and in the globals that it
+    reads: the same `lambda` in a new process will do. Methods of a term's class are not looked into.
+
+    **Arguments**: the file; scene, solver and step options with which it was written; the others as for
+    `simulate`. **Returns** the solution from where the file left off (`files.load` reads the whole).
+    **Raises** `ValueError` if file and arguments do not fit, naming what differs, and if another run
+    writes to the file; and as `simulate`.
     """
     clock = _Clock()
+    limits = {"bond_tolerance": bond_tolerance, "max_steps": max_steps}
+    steps = {"solver": solver, "tolerance": tolerance, "controller": controller}
+    _refuse_traced("resume", scene=scene, **steps, **limits)
     last = load(file)
     times = planned_times(file)
+    _refuse_traced("resume", file=(last, times))  # under `jit` nothing is known
     stepper = stepper_for(
         scene, times, solver, substeps, controller, tolerance, projected, max_steps
     )
@@ -152,6 +177,14 @@ def resume(
     with run:
         first = _part(scene, last.ts[-1:], jax.tree.map(lambda x: x[-1:], last.states), carry)
         return run.go(carry, first, len(last.ts) - 1, clock)
+
+
+def _refuse_traced(by: str, **arguments: Any) -> None:
+    """Refuse numbers that a transformation of JAX stands for, also in a law: the host must see them."""
+    for path in Contents(**arguments).traced:
+        must = f"hold numbers that are known, which `{by}` must see"
+        how = f"`jax.grad`, `jit` or `vmap` traces `{path}`: use `rollout`, through which they go"
+        fail(re.split(r"[.\[]", path)[0], must, how)
 
 
 def _part(scene: Scene, ts: Float[Array, " times"], states: State, carry: Carry) -> Solution:
@@ -166,6 +199,21 @@ def _warn_of_large_step(scene: Scene, stepper: Stepper, ts: Array) -> None:
                 f"The time step {step:.3g} is {step / limit:.3g} times `solver.explicit_step` (eq. (39) "
                 "for bending); AB3 is stable to about 2.2 times.",
                 stacklevel=3,
+            )
+
+
+_law_errors = eqx.filter_jit(law_errors)
+
+
+def _warn_of_laws(scene: Scene, stepper: Stepper, solution: Solution) -> None:
+    errors = np.asarray(_law_errors(scene, stepper, solution.ts, solution.states))
+    for constraint, error in zip(scene.constraints, errors, strict=True):
+        if not error <= LAW_TOLERANCE:
+            warnings.warn(
+                f"{named(constraint)} is off its law by {100 * error:.3g} % of the law's way: a law is "
+                "followed by its derivative, so it must not jump; where it has a kink, equal steps must "
+                "be small, or be chosen by `tolerance`.",
+                stacklevel=4,
             )
 
 
@@ -198,7 +246,7 @@ class _Run:
 
     def go(self, carry: Carry, first: Solution, done: int, clock: _Clock) -> Solution:
         """From interval number `done` to the end."""
-        parts, status, intervals = [first], "finished", len(self.ts) - 1
+        parts, ending, intervals = [first], Ending.FINISHED, len(self.ts) - 1
         length = _chunk_length(intervals, self.chunk)
         from tqdm.auto import tqdm  # it warns on import in a notebook without widgets
 
@@ -210,13 +258,15 @@ class _Run:
                     parts.append(part)
                     done += count
                     bar.update(count)
-                    if self.until is not None and self.until(_join(parts, status, clock)):
-                        status = "stopped by `until`"
+                    if self.until is not None and self.until(self.joined(parts, ending, clock)):
+                        ending = Ending.STOPPED
                         break
         except KeyboardInterrupt:
-            status = "interrupted"
+            ending = Ending.INTERRUPTED
             warnings.warn(f"The run was interrupted at t = {parts[-1].ts[-1]:g}.", stacklevel=3)
-        return _join(parts, status, clock)
+        solution = self.ended(parts, ending, clock)
+        _warn_of_laws(self.scene, self.stepper, solution)
+        return solution
 
     def advance(
         self, carry: Carry, done: int, count: int, parts: list[Solution], clock: _Clock
@@ -253,29 +303,38 @@ class _Run:
         after, _ = _advance(self.stepper, self.scene, carry, span)
         t0, t1 = (float(t) for t in span)
         cause = locate(self.stepper, self.scene, carry, after, t0, t1, self.bond_tolerance)
-        raise SimulationError(cause, _join(parts, "broken down", clock))
+        raise SimulationError(cause, self.ended(parts, Ending.BROKEN_DOWN, clock))
+
+    def joined(self, parts: list[Solution], ending: Ending, clock: _Clock) -> Solution:
+        """All parts in one."""
+
+        def column(get: Callable[[Solution], Any]) -> Any:
+            return _concatenate([get(part) for part in parts])
+
+        wall, compiling = clock.read()
+        return Solution(
+            column(lambda p: p.ts),
+            column(lambda p: p.states),
+            parts[-1].steps,
+            parts[-1].code,
+            column(lambda p: p.residual),
+            column(lambda p: p.bond_length_error),
+            wall,
+            compiling,
+            ending,
+            solver_number(self.stepper.solver),
+        )
+
+    def ended(self, parts: list[Solution], ending: Ending, clock: _Clock) -> Solution:
+        """The solution with which the run ends; the file notes how long it took."""
+        solution = self.joined(parts, ending, clock)
+        if self.target is not None:
+            self.target.end(solution)
+        return solution
 
 
 def _concatenate(trees: list[Any]) -> Any:
     # By numpy: JAX would compile a new program for every number of parts.
     return jax.tree.map(
         lambda *x: jax.device_put(np.concatenate([np.asarray(y) for y in x])), *trees
-    )
-
-
-def _join(parts: list[Solution], status: str, clock: _Clock) -> Solution:
-    def column(get: Callable[[Solution], Any]) -> Any:
-        return _concatenate([get(part) for part in parts])
-
-    wall, compiling = clock.read()
-    return Solution(
-        column(lambda p: p.ts),
-        column(lambda p: p.states),
-        parts[-1].steps,
-        parts[-1].code,
-        column(lambda p: p.residual),
-        column(lambda p: p.bond_length_error),
-        wall,
-        compiling,
-        status,
     )

@@ -20,6 +20,8 @@ class State(eqx.Module):
     - `position`: centres of the beads, shape `(beads, dim)`, [length].
     - `director`: unit vectors fixed to the beads, shape `(beads, dim)`, or `None` where no term of
       the scene needs orientations.
+    - `normal`: a unit vector normal to each fibre in space, shape `(fibres, 3)`, which turns with it
+      without spin, or `None` (see `frames`). A run adds it where a drive acts along such normals.
 
     **Raises** `ValueError` for a position that is not of shape `(beads, 2 or 3)`, another shape of the
     directors, and numbers that are not finite.
@@ -27,6 +29,9 @@ class State(eqx.Module):
 
     position: Float[Array, "beads dim"] = eqx.field(converter=float_array)
     director: Float[Array, "beads dim"] | None = eqx.field(
+        converter=optional_float_array, default=None
+    )
+    normal: Float[Array, "fibres dim"] | None = eqx.field(
         converter=optional_float_array, default=None
     )
 
@@ -40,6 +45,11 @@ class State(eqx.Module):
             if other != shape:
                 fail("director", f"have the position's shape {shape}", f"it has {other}")
             finite("director", self.director)
+        if self.normal is not None:
+            if self.normal.ndim != 2 or shape[1] != 3 or self.normal.shape[1] != 3:
+                must = "have shape (fibres, 3), in space"
+                fail("normal", must, f"it has {self.normal.shape} beside positions of {shape}")
+            finite("normal", self.normal)
 
 
 class Motion(eqx.Module):

@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Float
 from ._checks import known, positive, whole
 from .coordinates import Coordinates, coordinates
 from .dynamics import Time
+from .faults import REMEDY, not_finite, not_smooth
 from .linearise import coordinate_rate, linearise
 from .scene import Scene, check
 from .state import State
@@ -68,6 +69,22 @@ class Shape(eqx.Module):
             change = change - jnp.pad(common, (0, len(change) - places))
         return (change / self.scale)[self.fixed :]
 
+    def change(self, state: State, change: State) -> Array:
+        """dy from a change of a state that is not far off."""
+        return self.drop(self.chart.rate(self.chart.origin, state, change))
+
+    def turns(self) -> Float[Array, "numbers turns"]:
+        """dy in turns of the whole about each axis."""
+        start = self.chart.start
+        place = self.chart.places(start.position)[:1]
+        arms = eqx.tree_at(lambda s: s.position, start, start.position - place)
+
+        def turned(matrix: Array) -> Array:
+            return self.change(start, jax.tree.map(lambda x: x @ matrix, arms))
+
+        dim = start.position.shape[1]
+        return jax.vmap(turned, out_axes=1)(jnp.asarray(generators(dim), start.position.dtype))
+
 
 def shape_about(scene: Scene, state: State, moving: bool) -> Shape:
     """Coordinates of shapes about that of a state; of all places, unless it is `moving` as a whole."""
@@ -78,11 +95,28 @@ def shape_about(scene: Scene, state: State, moving: bool) -> Shape:
     return Shape(chart, scale, state.position.shape[1] if moving else 0)
 
 
+def generators(dim: int) -> np.ndarray:
+    """Antisymmetric matrices: the directions in which one may turn."""
+    pairs = [(i, j) for i in range(dim) for j in range(i)]
+    matrices = np.zeros((len(pairs), dim, dim))
+    for matrix, (i, j) in zip(matrices, pairs, strict=True):
+        matrix[i, j], matrix[j, i] = 1, -1
+    return matrices
+
+
+class Problem(eqx.Module):
+    """All that decides on a root: the scene, its time or times, and the start."""
+
+    scene: Scene
+    ts: Array
+    start: State
+
+
 Outcome = tuple[Array, Array]
 """What is to be zero, and what else is sought, two vectors."""
-System = Callable[[Shape, Array, Scene], Outcome]
+System = Callable[[Shape, Array, Problem], Outcome]
 """Both as functions of the shape's coordinates."""
-Linear = Callable[[Shape, Scene], tuple[Outcome, Outcome]]
+Linear = Callable[[Shape, Problem], tuple[Outcome, Outcome]]
 """Both at y = 0, and their Jacobians."""
 
 
@@ -100,74 +134,129 @@ class _Turn(eqx.Module):
     jacobians: Outcome
 
 
+class Root(eqx.Module):
+    """What `root` finds: the state, what else is sought, whether it was found; the Jacobians of the
+    residual and of what else is sought, and the last state at which they were taken."""
+
+    state: State
+    sought: Array
+    found: Array
+    jacobians: Outcome
+    last: State
+
+
 def root(
     system: System,
     linear: Linear,
-    scene: Scene,
-    start: State,
+    problem: Problem,
     moving: bool,
     tolerance: Array,
     max_steps: int,
     neutral: float = 1e-12,
-) -> tuple[State, Array, Array, Array]:
+    exact: bool = True,
+) -> Root:
     """The shape at which a residual vanishes, by Newton's method.
 
     No bond turns by more than half a radian in a step. Singular values below `neutral` times the
     largest count as zero. Coordinates whose residual nothing changes (a held bead, a prescribed
-    direction) stay as they are at the start. Derivatives by the scene follow from the implicit function
-    theorem. **Returns** the state, what else is sought, whether it was found, and the Jacobian of the
-    residual.
+    direction) stay as they are at the start, and so does the first place of a shape that moves as a
+    whole. Derivatives by the problem follow from the implicit function theorem; where the Jacobians are
+    not `exact`, but differences, the linear system is refined by products with the exact one.
     """
-    frozen = lax.stop_gradient(scene)
+    frozen = lax.stop_gradient(problem)
+
+    def kept(jacobian: Array) -> Array:
+        size = jnp.max(jnp.abs(jacobian), initial=0.0)
+        return jnp.max(jnp.abs(jacobian), axis=1, initial=0.0) <= neutral * size
 
     def inverse(jacobian: Array) -> Array:
-        size = jnp.max(jnp.abs(jacobian), initial=0.0)
-        kept = jnp.max(jnp.abs(jacobian), axis=1, initial=0.0) <= neutral * size
+        size, still = jnp.max(jnp.abs(jacobian), initial=0.0), kept(jacobian)
         square = jnp.where(
-            kept[:, None], size * jnp.eye(len(jacobian), dtype=jacobian.dtype), jacobian
+            still[:, None], size * jnp.eye(len(jacobian), dtype=jacobian.dtype), jacobian
         )
         # Directions that make no difference are left alone.
         least = 100 * len(jacobian) * float(jnp.finfo(jacobian.dtype).eps)
-        return jnp.linalg.pinv(square, rtol=max(neutral, least)) * ~kept[None, :]
+        return jnp.linalg.pinv(square, rtol=max(neutral, least)) * ~still[None, :]
 
     def newton(turn: _Turn) -> _Turn:
-        state = shape_about(frozen, turn.state, moving).state(turn.y)
-        (value, sought), jacobians = linear(shape_about(frozen, state, moving), frozen)
+        state = shape_about(frozen.scene, turn.state, moving).state(turn.y)
+        (value, sought), jacobians = linear(shape_about(frozen.scene, state, moving), frozen)
         y = -inverse(jacobians[0]) @ value
         size = jnp.max(jnp.abs(y), initial=0.0)
         y = y * jnp.minimum(1.0, 0.5 / jnp.where(size > 0, size, 1.0))
         return _Turn(turn.count + 1, size, state, y, sought + jacobians[1] @ y, jacobians)
 
-    start = lax.stop_gradient(start)
-    shape = shape_about(frozen, start, moving)
-    outcomes = jax.eval_shape(linear, shape, frozen)
+    begun = shape_about(frozen.scene, frozen.start, moving)
+    outcomes = jax.eval_shape(linear, begun, frozen)
     (_, sought), jacobians = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), outcomes)
-    infinite = jnp.asarray(jnp.inf, start.position.dtype)
-    turn = _Turn(jnp.zeros((), int), infinite, start, shape.origin, sought, jacobians)
+    infinite = jnp.asarray(jnp.inf, frozen.start.position.dtype)
+    turn = _Turn(jnp.zeros((), int), infinite, frozen.start, begun.origin, sought, jacobians)
     turn = lax.while_loop(
         lambda turn: (turn.count < max_steps) & (turn.size > tolerance), newton, turn
     )
-    # The root depends on the scene: with z = (y, sought), d(residual, what is sought - sought) = 0.
+    turn = lax.stop_gradient(turn)
+    # The root depends on the problem: with z = (y, sought), d(residual, what is sought - sought) = 0.
     first, second = turn.jacobians
     solution = inverse(first)
     below = jnp.concatenate([second @ solution, -jnp.eye(len(sought), dtype=second.dtype)], axis=1)
     solution = jnp.concatenate([jnp.pad(solution, ((0, 0), (0, len(sought)))), below])
-    shape = shape_about(frozen, turn.state, moving)
-    live = eqx.tree_at(lambda s: s.chart.chain, shape, scene.chain)
+    shape = shape_about(frozen.scene, turn.state, moving)
+    along, first_place = _along(shape, begun, problem.start, ~kept(first))
+    live = eqx.tree_at(
+        lambda s: (s.chart.chain, s.chart.start.position),
+        shape,
+        (problem.scene.chain, shape.chart.start.position + first_place),
+    )
     size = len(turn.y)
 
     def both(z: Array) -> Array:
-        value, sought = system(live, z[:size], scene)
+        value, sought = system(live, z[:size] + along, problem)
         return jnp.concatenate([value, sought - z[size:]])
 
+    def solve(product: Callable[[Array], Array], b: Array) -> Array:
+        x = solution @ b
+        return x if exact else x + solution @ (b - product(x))
+
     guess = jnp.concatenate([turn.y, turn.sought])
-    z = lax.custom_root(both, guess, lambda _, z: z, lambda _, b: solution @ b)
-    return live.state(z[:size]), z[size:], turn.size <= tolerance, first
+    z = lax.custom_root(both, guess, lambda _, z: z, solve)
+    state = live.state(z[:size] + along)
+    return Root(state, z[size:], turn.size <= tolerance, turn.jacobians, turn.state)
+
+
+def _along(shape: Shape, begun: Shape, start: State, free: Array) -> tuple[Array, Array]:
+    """Zeros with the derivatives by the start of what it decides: coordinates y about the shape found
+    (of which the residual settles all but those held and those that make no difference), and the first
+    place of a shape that moves as a whole.
+
+    **Arguments**: coordinates about the shape found and about the start; which coordinates are free.
+    """
+    change = jax.tree.map(lambda x: x - lax.stop_gradient(x), start)
+    start = lax.stop_gradient(start)
+    y = shape.change(start, change)
+    # A turn of the start turns the shape found by as much, also where they are not the same shape.
+    turns, turns_begun = (s.turns() * free[:, None] for s in (shape, begun))
+    angles = jnp.linalg.pinv(turns_begun, rtol=1e-6) @ begun.change(start, change)
+    y = y + turns @ (angles - jnp.linalg.pinv(turns, rtol=1e-6) @ y)
+    place = shape.chart.places(change.position)[:1]
+    return y, place if shape.fixed else 0 * place
 
 
 def or_nothing(found: Array, result: _Result) -> _Result:
     """The result, or NaN."""
     return jax.tree.map(lambda x: x if x.dtype == bool else jnp.where(found, x, jnp.nan), result)
+
+
+def refuse(t: float, state: State, scene: Scene, what: str, derivatives: bool = True) -> None:
+    """Name the term that keeps a search from going on at a state, if there is one."""
+    fault = not_finite(t, state, scene)
+    if fault is None and derivatives:
+        fault = not_smooth(t, state, scene)
+    if fault is not None:
+        remedy = f" {REMEDY}" if fault.derivative else ""
+        raise RuntimeError(
+            f"No {what} state was found, because a term is not finite on the way (t = {t:.6g}). Term: "
+            f"{fault.term}, {fault.how}.{remedy}"
+        )
 
 
 def steady_state(
@@ -183,8 +272,11 @@ def steady_state(
 
     It is a root of the rates of the bond directions and of the fibres' relative places: a settling
     fibre, a filament clamped in a flow, two fibres that fall side by side. Differentiable in both modes
-    by the implicit function theorem. Newton's method finds unstable shapes as well (look at
-    `growth_rates`) and needs a start not far off, as the end of a `rollout` with a large tolerance.
+    by the implicit function theorem: by scene and time; by the start in what it decides, as the place
+    and the direction of a clamp, or the place of a shape that moves. Where turns of the shape make no
+    difference, a turn of the start turns it; by anything else the derivative is that of the shape, not
+    turned. Newton's method finds unstable shapes as well (look at `growth_rates`) and needs a start not
+    far off, as the end of a `rollout` with a large tolerance.
 
     **Arguments**
 
@@ -197,10 +289,13 @@ def steady_state(
     none is found (under `jit`, which cannot raise, `converged` is false and the numbers are NaN).
     """
     check(scene, state)
+    state = scene.begin(state)
     positive("tolerance", tolerance)
     whole("max_steps", max_steps, 1)
-    found = _solve(scene, state, jnp.asarray(t), moving, jnp.asarray(tolerance), max_steps)
-    if known(found) and not bool(found.converged):
+    problem = Problem(scene, jnp.asarray(t, state.position.dtype), state)
+    found, last = _solve(problem, moving, jnp.asarray(tolerance), max_steps)
+    if known((found, last, problem)) and not bool(found.converged):
+        refuse(float(problem.ts), last, scene, "steady")
         raise RuntimeError(
             f"No steady state was found in {max_steps} steps from this start: give one that is nearer, "
             "as the end of a `rollout`, or loosen `tolerance`."
@@ -210,21 +305,20 @@ def steady_state(
 
 @eqx.filter_jit
 def _solve(
-    scene: Scene, start: State, t: Array, moving: bool, tolerance: Array, max_steps: int
-) -> SteadyState:
-    dim = start.position.shape[1]
+    problem: Problem, moving: bool, tolerance: Array, max_steps: int
+) -> tuple[SteadyState, State]:
+    dim = problem.start.position.shape[1]
 
-    def system(shape: Shape, y: Array, scene: Scene) -> Outcome:
-        rate = coordinate_rate(t, shape.lift(y), shape.chart, scene)
+    def system(shape: Shape, y: Array, problem: Problem) -> Outcome:
+        rate = coordinate_rate(problem.ts, shape.lift(y), shape.chart, problem.scene)
         return shape.drop(rate), rate[:dim]
 
-    def linear(shape: Shape, scene: Scene) -> tuple[Outcome, Outcome]:
-        about = linearise(t, shape.chart, scene)
+    def linear(shape: Shape, problem: Problem) -> tuple[Outcome, Outcome]:
+        about = linearise(problem.ts, shape.chart, problem.scene)
         columns = (about.jacobian * shape.scale[None, :])[:, shape.fixed :]
         dropped = jax.vmap(shape.drop, 1, 1)(columns)
         return (shape.drop(about.rate), about.rate[:dim]), (dropped, columns[:dim])
 
-    state, velocity, found, jacobian = root(
-        system, linear, scene, start, moving, tolerance, max_steps
-    )
-    return or_nothing(found, SteadyState(state, velocity, found, jacobian))
+    at = root(system, linear, problem, moving, tolerance, max_steps)
+    found = SteadyState(at.state, at.sought, at.found, at.jacobians[0])
+    return or_nothing(at.found, found), at.last

@@ -1,8 +1,9 @@
 """`sweep`: one scene for many values of its parameters."""
 
 import os
+import unicodedata
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import diffrax
@@ -16,15 +17,34 @@ from .breakdown import SimulationError
 from .chunks import NOT_RUN, Measured, all_members
 from .dynamics import evaluate
 from .factors import at_once
-from .rollout import Solution, Tolerance, rollout
+from .rollout import Tolerance, rollout
 from .scene import Scene, check
 from .simulate import simulate
+from .solution import Solution
 from .state import State
 
 if TYPE_CHECKING:
     import xarray
 
 _PAIRS = 2**12  # of members side by side: a table of them takes 32 KiB
+_OWN = ("code", "steps")  # names that every table has
+_RESERVED = set(
+    [
+        "byte",
+        "char",
+        "short",
+        "ushort",
+        "int",
+        "uint",
+        "int64",
+        "uint64",
+        "float",
+        "real",
+        "double",
+        "bool",
+        "string",
+    ]
+)
 _EXPLAINED = 3  # members that failed are run again alone, to say why; no more than these
 
 Build = Callable[..., tuple[Scene, State]]
@@ -70,9 +90,11 @@ def sweep(
     **Arguments**
 
     - `build`: from a value of each axis, by name, the scene and where it starts.
-    - `axes`: the values of each parameter by its name, one-dimensional.
+    - `axes`: the values of each parameter by its name, one-dimensional. This name and those of what is
+      measured are names of the table: not `code` nor `steps`, none twice, and such that a netCDF file
+      can hold them.
     - `ts`: times to save at, the same for all [time].
-    - `measure`: numbers or arrays by name, from a `Solution` and the scene.
+    - `measure`: real numbers or arrays by name, from a `Solution` and the scene.
     - `paired`: the axes' values belong together, one member for each, instead of all combinations.
     - `solver`, `tolerance`, `substeps`, `projected`, `max_steps`: as for `rollout`.
     - `chunk`: members at a time on each device; memory grows with it. By default what the folder has, or
@@ -83,10 +105,10 @@ def sweep(
 
     **Returns** an `xarray.Dataset`: one dimension for each axis (or `member`), what was measured (NaN
     where it failed), `steps`, and `code`: 0 where all went well, otherwise as in a `Solution`, 4 where
-    only what is measured is not finite, -1 where Ctrl-C came before. `attrs["failures"]` says for each
-    member that failed which it is, and for the first three why: alone they are run again by `simulate`,
-    which names step, bead and term. **Raises** `ValueError` for input that does not fit, as a folder
-    that holds another sweep.
+    only what is measured is not finite, -1 where Ctrl-C came before. `attrs["failures"]` is a text with
+    a line for each member that failed: which it is, and for the first three why; alone they are run
+    again by `simulate`, which names step, bead and term. `to_netcdf` writes all of it. **Raises**
+    `ValueError` for input that does not fit, as a folder that holds another sweep.
     """
     points, shape, dims = _grid(axes, paired)
     for name, function in (("build", build), ("measure", measure)):
@@ -109,7 +131,7 @@ def sweep(
     def member(point: dict[str, Array]) -> Measured:
         scene, state = _built(build, point)
         solution = rollout(scene, state, ts, **options)
-        found = {name: jnp.asarray(value) for name, value in measure(solution, scene).items()}
+        found = _measured(measure(solution, scene), [*dims, *axes])
         fine = [jnp.all(jnp.isfinite(x)) for x in found.values()]
         code = jnp.where((solution.code == 0) & ~jnp.all(jnp.array(fine)), 4, solution.code)
         kept = {n: jnp.where(code == 0, x.astype(float), jnp.nan) for n, x in found.items()}
@@ -126,7 +148,7 @@ def sweep(
                 scene, state = _built(build, point)
                 simulate(scene, state, ts, progress=False, **options)
         except (SimulationError, ValueError) as error:
-            return str(error)
+            return " ".join(str(error).split())
         return "alone it runs to the end"
 
     import xarray
@@ -135,13 +157,57 @@ def sweep(
     coordinates = {n: ("member", x) for n, x in points.items()} if paired else dict(axes)
     variables = {
         name: (
-            [*dims, *(f"{name}_{k}" for k in range(x.ndim - 1))],
+            [*dims, *_own_dimensions(name, x[0])],
             x.reshape(*shape, *x.shape[1:]),
         )
         for name, x in (kept | extra).items()
     }
     failures = _failures(points, code, alone)
-    return xarray.Dataset(variables, coordinates, {"failures": failures})
+    # In one piece of text: netCDF files of the classic kind hold no lists of it.
+    return xarray.Dataset(variables, coordinates, {"failures": "\n".join(failures)})
+
+
+def _measured(found: Any, taken: Iterable[str]) -> dict[str, Array]:
+    """What a member's `measure` returns, if the table has a place for it."""
+    if not isinstance(found, Mapping):
+        fail("measure", "return numbers or arrays by name", f"it returns {described(found)}")
+    names = dict.fromkeys([*_OWN, *taken], "which the table has for something else")
+    measured = {}
+    for name, value in found.items():
+        if name in names:
+            fail("measure", "return names of its own", f"it returns {name!r}, {names[name]}")
+        _netcdf_name("measure", "return", name)
+        names[name] = "which it returns for something else"
+        try:
+            measured[name] = jnp.asarray(value)
+        except (TypeError, ValueError):
+            how = f"{name!r} is {described(value)}"
+            fail("measure", "return numbers or arrays by name", how)
+        if jnp.iscomplexobj(measured[name]):
+            fail("measure", "return real numbers", f"{name!r} is complex")
+        if measured[name].size == 0:
+            fail("measure", "return at least one number by each name", f"{name!r} is empty")
+    for name, value in measured.items():
+        for made in _own_dimensions(name, value):
+            if made in names:
+                how = f"{made!r} is a dimension of {name!r} and something else"
+                fail("measure", "return names of its own", how)
+    return measured
+
+
+def _own_dimensions(name: str, values: Any) -> list[str]:
+    """Names of the dimensions of what one member measures."""
+    return [f"{name}_{k}" for k in range(values.ndim)]
+
+
+def _netcdf_name(argument: str, does: str, name: Any) -> None:
+    """Refuse what cannot be a name in a netCDF file, of the classic kind too."""
+    if not isinstance(name, str):
+        fail(argument, f"{does} names that are text", f"one of them is {described(name)}")
+    first, rest = name[:1], name.isprintable() and not set("/'") & set(name) and name[-1:] != " "
+    begun = first == "_" or first.isalnum() or first > "\x7f"
+    if not (begun and rest) or name in _RESERVED or unicodedata.normalize("NFC", name) != name:
+        fail(argument, f"{does} names that a netCDF file can hold", f"one of them is {name!r}")
 
 
 def _built(build: Build, point: Mapping[str, Array]) -> tuple[Scene, State]:
@@ -173,6 +239,15 @@ def _grid(
         fail("axes", "name at least one parameter", "it is empty")
     values = {name: np.asarray(v, float) for name, v in axes.items()}
     for name, v in values.items():
+        if name in _OWN:
+            fail(
+                "axes",
+                f"not hold {name!r}, a name that the table has for something else",
+                "it does",
+            )
+        _netcdf_name("axes", "hold", name)
+        if paired and " " in name:  # such a coordinate would come back as something measured
+            fail("axes", "hold names without spaces to be paired", f"one of them is {name!r}")
         if v.ndim != 1 or len(v) == 0:
             fail(f"axes[{name!r}]", "be a sequence of numbers", f"it has shape {v.shape}")
         finite(f"axes[{name!r}]", v)

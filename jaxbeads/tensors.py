@@ -1,8 +1,11 @@
 """Pair tensors of spheres in Stokes flow: Rotne-Prager-Yamakawa with rotation, and the response to
-strain. Pure functions of positions; viscosity 1 unless said.
+strain. Pure functions of positions.
+
+Lengths are divided by a radius before they are raised to powers, and powers of that radius multiply the
+results: in single precision the sixth power of a micrometre is not there.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import reduce
 from typing import NamedTuple
 
@@ -11,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .pairs import CROSS, Field, PairTensor, Radii, Signed, Table, pair_sums, radii_of, separations
+from .pairs import CROSS, Field, PairTensor, Radii, Signed, Table, in_radii
 from .state import Load, Motion, spins
 
 
@@ -56,77 +59,92 @@ class _Scalars(NamedTuple):
     rr2: Array
 
 
-def _equal(s: _Separation, a: Array) -> _Scalars:
+def _factors(length: Array) -> tuple[Array, Array, Array]:
+    """1/(6 pi a), 1/(8 pi a^2), 1/(8 pi a^3)."""
+    one = 1 / length  # first: the derivative of 1/a^3 as a quotient holds a^-6
+    return one / (6 * np.pi), one * one / (8 * np.pi), one * one * one / (8 * np.pi)
+
+
+def _equal(s: _Separation, factors: tuple[Array, Array, Array]) -> _Scalars:
     # On the diagonal the overlap branch at distance 0 is the mobility of a single sphere.
-    x, ix = s.distance * (1 / a), s.inverse * a
+    x, ix = s.distance, s.inverse
     y = jnp.minimum(ix, 0.5)  # 1/x of separate spheres; bounded where the other branch holds
     y2, y3 = y * y, y * y * y
     near = x <= 2
-    six, eight = 1 / (6 * np.pi * a), 1 / (8 * np.pi * a**3)
-    tr = eight * jnp.where(near, 0.5 - 3 * x / 16, y3)
+    six, cross, eight = factors
+    tr = cross * jnp.where(near, 0.5 - 3 * x / 16, y3)
     return _Scalars(
         tt1=six * jnp.where(near, 1 - 9 * x / 32, 0.75 * y + 0.5 * y3),
-        tt2=(six / a**2) * jnp.where(near, 3 * ix / 32, (0.75 - 1.5 * y2) * y3),
+        tt2=six * jnp.where(near, 3 * ix / 32, (0.75 - 1.5 * y2) * y3),
         tr=tr,
         rt=tr,
         rr1=eight * jnp.where(near, 1 - 27 * x / 32 + 5 * x * x * x / 64, -0.5 * y3),
-        rr2=(eight / a**2) * jnp.where(near, 9 * ix / 32 - 3 * x / 64, 1.5 * y2 * y3),
+        rr2=eight * jnp.where(near, 9 * ix / 32 - 3 * x / 64, 1.5 * y2 * y3),
     )
 
 
-def _overlap_rr(r: Array, a: Array, b: Array) -> tuple[Array, Array]:
-    """rr of overlapping spheres times 8 pi (a b)^3: coefficients of I and of the unit dyad."""
-    d2, r2, r3 = (a - b) ** 2, r**2, r**3
-    s = a**2 + 4 * a * b + b**2
-    one = 5 * r**6 - 27 * r**4 * (a**2 + b**2) + 32 * r3 * (a**3 + b**3)
-    one = one - 9 * r2 * (a**2 - b**2) ** 2 - d2**2 * s
-    return one / (64 * r3), 3 * (d2 - r2) ** 2 * (s - r2) / (64 * r3)
+class _Overlap(NamedTuple):
+    """Spheres that overlap. By the ratio q all is regular, also where equal ones are in one place."""
+
+    r: Array  # distance; that of contact where they do not overlap
+    inverse: Array
+    q: Array  # (a - b)/r, in [-1, 1]
+
+    def rr(self, a: Array, b: Array) -> tuple[Array, Array]:
+        """Coefficients of I and of the unit dyad in rr, times 8 pi (a b)^3."""
+        r, u = self.r, self.q * self.q
+        one = 5 * r**2 - 27 * (a**2 + b**2) - 9 * u * (a + b) ** 2
+        s = a**2 + 4 * a * b + b**2
+        one = 32 * (a**3 + b**3) + r * (one - u * u * s)
+        return one / 64, 3 * r * (1 - u) ** 2 * (s - r * r) / 64
+
+    def rt(self, a: Array, b: Array, q: Array) -> Array:
+        """rt times 8 pi: spin of the sphere of radius a, force on that of radius b, q = (a - b)/r."""
+        return (1 + q) ** 2 * (6 * a + 2 * b - 3 * self.r - q * (3 * a + b)) / (16 * a**3 * b)
 
 
-def _overlap_rt(r: Array, a: Array, b: Array) -> Array:
-    """rt of overlapping spheres: spin of the sphere of radius a, force on that of radius b."""
-    return (
-        (a - b + r) ** 2
-        * (b**2 + 2 * b * (a + r) - 3 * (a - r) ** 2)
-        / (128 * np.pi * r**2 * a**3 * b)
-    )
+def _distances(s: _Separation, a: Array, b: Array) -> tuple[Array, Array, _Overlap, Array]:
+    """Whether one sphere is within the other (also the diagonal); whether they meet at all; those that
+    overlap; inverse distance of those that do not, a regular value elsewhere."""
+    inside, near, touching = s.distance <= jnp.abs(a - b), s.distance <= a + b, a + b
+    r = jnp.where(near & ~inside, s.distance, touching)
+    inverse = 1 / r
+    overlap = _Overlap(r, inverse, (a - b) * inverse)
+    return inside, near, overlap, 1 / jnp.where(near, touching, s.distance)
 
 
-def _unequal(s: _Separation, a: Array, b: Array) -> _Scalars:
-    inside = s.distance <= jnp.abs(a - b)  # one sphere within the other; also the diagonal
-    near = s.distance <= a + b
-    r = jnp.where(inside, a + b, s.distance)  # a regular value where the branch is not taken
-    ir, big = 1 / r, jnp.maximum(a, b)
-    m, q, sq = 1 / (6 * np.pi * a * b), 1 / (8 * np.pi * (a * b) ** 3), a**2 + b**2
-    k, d2, r2 = 1 / (8 * np.pi * r), (a - b) ** 2, r**2
-    rr1, rr2 = _overlap_rr(r, a, b)
+def _unequal(s: _Separation, a: Array, b: Array, factors: tuple[Array, Array, Array]) -> _Scalars:
+    inside, near, o, y = _distances(s, a, b)
+    big, y2 = jnp.maximum(a, b), y * y
+    y3, u = y2 * y, o.q * o.q
+    m, q, sq = 1 / (a * b), 1 / (a * b) ** 3, a**2 + b**2
+    rr1, rr2 = o.rr(a, b)
 
-    def choose(within: Array | float, overlap: Array, apart: Array) -> Array:
-        return jnp.where(inside, within, jnp.where(near, overlap, apart))
+    def choose(factor: Array, within: Array | float, overlap: Array, apart: Array) -> Array:
+        return factor * jnp.where(inside, within, jnp.where(near, overlap, apart))
 
-    cross_apart = 1 / (8 * np.pi * r**3)
+    six, cross, eight = factors
     return _Scalars(
         tt1=choose(
-            1 / (6 * np.pi * big),
-            m * (16 * r**3 * (a + b) - (d2 + 3 * r2) ** 2) / (32 * r**3),
-            k * (1 + sq / (3 * r2)),
+            six,
+            1 / big,
+            m * (0.5 * (a + b) - o.r * (3 + u) ** 2 / 32),
+            y * (0.75 + sq * y2 / 4),
         ),
-        tt2=choose(0.0, m * 3 * (d2 - r2) ** 2 / (32 * r**5), k * (1 - sq / r2) * ir**2),
-        tr=choose(
-            jnp.where(b > a, 1 / (8 * np.pi * b**3), 0.0), _overlap_rt(r, b, a) * ir, cross_apart
-        ),
-        rt=choose(
-            jnp.where(a > b, 1 / (8 * np.pi * a**3), 0.0), _overlap_rt(r, a, b) * ir, cross_apart
-        ),
-        rr1=choose(1 / (8 * np.pi * big**3), q * rr1, -1 / (16 * np.pi * r**3)),
-        rr2=choose(0.0, q * rr2 * ir**2, 3 / (16 * np.pi * r**5)),
+        tt2=choose(six, 0.0, m * 3 / 32 * (1 - u) ** 2 * o.inverse, 0.75 * y3 * (1 - sq * y2)),
+        tr=choose(cross, jnp.where(b > a, 1 / b**3, 0.0), o.rt(b, a, -o.q), y3),
+        rt=choose(cross, jnp.where(a > b, 1 / a**3, 0.0), o.rt(a, b, o.q), y3),
+        rr1=choose(eight, 1 / big**3, q * rr1, -0.5 * y3),
+        rr2=choose(eight, 0.0, q * rr2 * (o.inverse * o.inverse), 1.5 * y2 * y3),
     )
 
 
-def _coefficients(vector: list[Field], radii: Radii, viscosity: Array) -> _Scalars:
-    """The coefficients of each pair."""
-    s = _separation(vector)
-    k = _unequal(s, *radii) if isinstance(radii, tuple) else _equal(s, radii)
+def _coefficients(
+    vector: list[Field], radii: Radii | None, length: Array, viscosity: Array
+) -> _Scalars:
+    """The coefficients of each pair, of separations in units of a length."""
+    s, factors = _separation(vector), _factors(length)
+    k = _unequal(s, *radii, factors) if isinstance(radii, tuple) else _equal(s, factors)
     # XLA: each ends in a division; on the CPU it computes what looks cheap anew wherever it is read, but
     # never a division.
     tt1, tt2, tr, rt, rr1, rr2 = (x / viscosity for x in k)
@@ -150,8 +168,10 @@ def rpy(
     References: Wajnryb, Mizerski, Zuk & Szymczak, J. Fluid Mech. 731 (2013) R3 (equal radii); Zuk,
     Wajnryb, Mizerski & Szymczak, J. Fluid Mech. 741 (2014) R5 (unequal radii).
     """
-    vector, radii = separations(position, position), radii_of(radius, radius)
-    k, dim, turns = _coefficients(vector, radii, viscosity), len(vector), spins(len(vector))
+    unit = in_radii(position, radius)
+    vector, radii = unit.pairs()
+    k = _coefficients(vector, radii, unit.length, viscosity)
+    dim, turns = len(vector), spins(len(vector))
     tt = _dyads(k.tt1, k.tt2, vector)
     if not rotational:
         return PairTensor(tt)
@@ -178,32 +198,27 @@ def rpy_motion(
     **Arguments**: as for `rpy`; loads. **Returns** a `Motion`.
     """
 
-    def fields(vector: list[Field], radii: Radii) -> tuple[Field, ...]:
-        return _pushed(vector, radii, viscosity, rotational, load)
+    unit = in_radii(position, radius)
 
-    sums, dim = _sums(fields, position, radius), position.shape[1]
+    def fields(vector: list[Field], radii: Radii | None) -> tuple[Field, ...]:
+        return _pushed(vector, radii, unit.length, viscosity, rotational, load)
+
+    sums, dim = unit.sums(fields), position.shape[1]
     velocity = jnp.stack(sums[:dim], axis=1)
     return Motion(velocity, jnp.stack(sums[dim:], axis=1) if rotational else None)
 
 
-def _sums(
-    fields: Callable[[list[Field], Radii], Sequence[Field]], position: Array, radius: Array
-) -> list[Array]:
-    """Sums over j of functions of r_i - r_j and the radii."""
-    if radius.ndim == 0:
-        return pair_sums(lambda to, of: fields(separations(to, of), radius), position)
-
-    def unequal(to: tuple[Array, Array], of: tuple[Array, Array]) -> Sequence[Field]:
-        return fields(separations(to[0], of[0]), radii_of(to[1], of[1]))
-
-    return pair_sums(unequal, (position, radius))
-
-
 def _pushed(
-    vector: list[Field], radii: Radii, viscosity: Array, rotational: bool, load: Load
+    vector: list[Field],
+    radii: Radii | None,
+    length: Array,
+    viscosity: Array,
+    rotational: bool,
+    load: Load,
 ) -> tuple[Field, ...]:
     """What the load on bead j adds to each component of velocity and spin of bead i."""
-    k, dim, turns = _coefficients(vector, radii, viscosity), len(vector), spins(len(vector))
+    k = _coefficients(vector, radii, length, viscosity)
+    dim, turns = len(vector), spins(len(vector))
     force = None if load.force is None else list(load.force.T[:, None, :])
     torque = None if load.torque is None else list(load.torque.T[:, None, :])
 
@@ -239,27 +254,27 @@ def _dyads(one: Array, two: Array, vector: list[Field]) -> Table:
     return tuple(tuple(fields[i, j] for j in range(dim)) for i in range(dim))
 
 
-def _strain_equal(s: _Separation, a: Array) -> tuple[Array, Array, Array]:
-    x, ix = s.distance / a, s.inverse * a
+def _strain_equal(s: _Separation) -> tuple[Array, Array, Array]:
+    x, ix = s.distance, s.inverse
     y = jnp.minimum(ix, 0.5)
     y2, y3 = y * y, y * y * y
     near = x <= 2
     c1 = jnp.where(near, -0.5 + 5 * x / 24, -8 / 3 * y2 * y3)
-    c2 = jnp.where(near, -5 * ix / 96, (20 / 3 * y2 - 2.5) * y2 * y3) / a**2
-    cr = jnp.where(near, (5 * x * x - 30) * ix / 64, -2.5 * y2 * y3) / a**2
+    c2 = jnp.where(near, -5 * ix / 96, (20 / 3 * y2 - 2.5) * y2 * y3)
+    cr = jnp.where(near, (5 * x * x - 30) * ix / 64, -2.5 * y2 * y3)
     return c1, c2, cr
 
 
 def _strain_unequal(s: _Separation, a: Array, b: Array) -> tuple[Array, Array, Array]:
-    inside, near = s.distance <= jnp.abs(a - b), s.distance <= a + b
-    r = jnp.where(inside, a + b, s.distance)
-    d, r2, sq = a - b, r**2, 5 * a**2 + 3 * b**2
-    c1_near = 10 * r**6 - 24 * a * r**5 - 15 * r**4 * (b**2 - a**2) - d**5 * (a + 5 * b)
-    c2_near = 5 * (d**2 - r2) ** 2 * (d * (a + 5 * b) - r2)
-    cr_near = -5 * _overlap_rr(r, a, b)[1] / (3 * a**3)
-    c1 = jnp.where(near, c1_near / (48 * a * r**5), -(b**3) * sq / (3 * r**5))
-    c2 = jnp.where(near, c2_near / (96 * a * r**7), b**3 * (5 * sq - 15 * r2) / (6 * r**7))
-    cr = jnp.where(near, cr_near / r2, -2.5 * b**3 / r**5)
+    inside, near, o, y = _distances(s, a, b)
+    q, u, sq, y2 = o.q, o.q * o.q, 5 * a**2 + 3 * b**2, y * y
+    far, part = b**3 * (y2 * y2 * y), (1 - u) ** 2 * o.inverse
+    c1_near = 10 * o.r - 24 * a + 15 * q * (a + b) - q * u * u * (a + 5 * b)
+    c2_near = 5 * part * (q * o.inverse * (a + 5 * b) - 1)
+    cr_near = -5 * part * (a**2 + 4 * a * b + b**2 - o.r * o.r) / (64 * a**3)
+    c1 = jnp.where(near, c1_near / (48 * a), -far * sq / 3)
+    c2 = jnp.where(near, c2_near / (96 * a), far * (5 * sq * y2 - 15) / 6)
+    cr = jnp.where(near, cr_near, -2.5 * far)
     within = jnp.where(b > a, -1.0, 0.0)
     return (
         jnp.where(inside, within, c1),
@@ -284,23 +299,27 @@ def shear_disturbance(
 
     Reference: Wajnryb et al., J. Fluid Mech. 731 (2013) R3; Zuk et al., ibid. 741 (2014) R5.
     """
-    dim = position.shape[1]
+    dim, unit = position.shape[1], in_radii(position, radius)
 
-    def fields(vector: list[Field], radii: Radii) -> tuple[Field, ...]:
-        return _disturbance(vector, radii, strain_rate, rotational)
+    def fields(vector: list[Field], radii: Radii | None) -> tuple[Field, ...]:
+        return _disturbance(vector, radii, unit.length, strain_rate, rotational)
 
-    sums = _sums(fields, position, radius)
+    sums = unit.sums(fields)
     velocity = jnp.stack(sums[:dim], axis=1)
     return Motion(velocity, jnp.stack(sums[dim:], axis=1) if rotational else None)
 
 
 def _disturbance(
-    vector: list[Field], radii: Radii, strain_rate: Array, rotational: bool
+    vector: list[Field],
+    radii: Radii | None,
+    length: Array,
+    strain_rate: Array,
+    rotational: bool,
 ) -> tuple[Field, ...]:
     """What the strain at bead j adds to each component of velocity and spin of bead i."""
     s, dim, d = _separation(vector), len(vector), vector
-    unequal = isinstance(radii, tuple)
-    c1, c2, cr = _strain_unequal(s, *radii) if unequal else _strain_equal(s, radii)
+    c1, c2, cr = _strain_unequal(s, *radii) if isinstance(radii, tuple) else _strain_equal(s)
+    strain_rate, cr = strain_rate * length, cr / length  # the tensor is small, a field is not
     # One tensor: numbers; one for each bead: rows along j.
     rows = strain_rate if strain_rate.ndim == 2 else strain_rate[None]
     e = [[rows[..., i, j] for j in range(dim)] for i in range(dim)]
@@ -311,10 +330,10 @@ def _disturbance(
         return velocity
     if dim == 2:
         return (*velocity, cr * (ed[0] * d[1] - ed[1] * d[0]))
-    turn = [jnp.zeros(())] * 3
+    turn: list[list[Field]] = [[], [], []]
     for i, j, k, sign in CROSS[3]:
-        turn[i] = turn[i] + sign * ed[j] * d[k]
-    return (*velocity, *(cr * w for w in turn))
+        turn[i].append(sign * ed[j] * d[k])
+    return (*velocity, *(cr * reduce(jnp.add, terms) for terms in turn))
 
 
 def rpy_gradient(
@@ -334,16 +353,17 @@ def rpy_gradient(
     **Arguments**: as for `rpy`; loads; rate of strain as a function of positions (see
     `shear_disturbance`) or `None`; shifts [length]. **Returns** motions, a leading axis of shifts.
     """
-    dim, vectors = position.shape[1], separations(position, position)
-    radii = radii_of(radius, radius)
+    dim, unit = position.shape[1], in_radii(position, radius)
+    vectors, radii = unit.pairs()
+    length, shifts = unit.length, shifts / unit.length
     loaded = load.force is not None or load.torque is not None
 
     def pairs(vector: list[Field], rate: Array | None) -> tuple[Field, ...]:
         moved: list[tuple[Field, ...]] = []
         if loaded:
-            moved.append(_pushed(vector, radii, viscosity, rotational, load))
+            moved.append(_pushed(vector, radii, length, viscosity, rotational, load))
         if rate is not None:
-            moved.append(_disturbance(vector, radii, rate, rotational))
+            moved.append(_disturbance(vector, radii, length, rate, rotational))
         return tuple(reduce(jnp.add, parts) for parts in zip(*moved, strict=True))
 
     rate = None if strain is None else strain(position)
@@ -353,9 +373,9 @@ def rpy_gradient(
     own = [f.sum(axis=2) for f in slopes]
     if strain is not None and rate is not None and rate.ndim == 3:
         # The strain at bead j changes with its place.
-        shift = jnp.broadcast_to(units[:, None, :, 0, 0], (dim, *position.shape))
+        shift = jnp.broadcast_to(length * units[:, None, :, 0, 0], (dim, *position.shape))
         slope = jax.vmap(jax.linearize(strain, position)[1])(shift)
-        others = jax.vmap(lambda e: _disturbance(vectors, radii, e, rotational))(slope)
+        others = jax.vmap(lambda e: _disturbance(vectors, radii, length, e, rotational))(slope)
         slopes = [f - g for f, g in zip(slopes, others, strict=True)]
     total = [
         jnp.einsum("sic,ci->si", shifts, o) - jnp.einsum("sjc,cij->si", shifts, f)

@@ -104,7 +104,7 @@ whole = time.perf_counter() - start
 failed = int((table.code != 0).sum())
 print(table)
 print(f"{table.code.size} members in {whole:.1f} s with compiling; {failed} failed")
-print("\n".join(table.attrs["failures"][:4]))
+print("\n".join(table.attrs["failures"].splitlines()[:4]))
 
 # %% [markdown]
 # The members that failed are worms with the largest amplitudes, which coil up until beads

@@ -419,7 +419,7 @@ DRIVES = {
     "helix of 3 beads": (lambda: scenes.spiral(3), "`beads` must be at least 4, but it is 3"),
     "worms at no distance": (lambda: scenes.nematode_pair(8, 0.0), "`distance` must be positive"),
     "NaN follower force": (lambda: scenes.follower_force(8, NAN), "`force` must be finite"),
-    "a number as law": (lambda: PrescribedPosition(1.0), "`function` must be a function"),
+    "a number as law": (lambda: PrescribedPosition(1.0), "`law` must be a function"),
     "waves of one amplitude too many": (
         lambda: run_force(Bending(1.0, TravellingWave(np.ones(4), 1.0, 1.0))),
         "`Bending.intrinsic_curvature` must be a function that can be called with 3 joints, but",
@@ -708,14 +708,37 @@ def test_a_file_that_cannot_be_continued(damage, says, written, tmp_path, unrun)
 
 
 OTHERS = {
-    "rigidity": ({"forces": [Bending(11.0)]}, {}, r"one of its numbers is \[11.\] and was \[10.\]"),
-    "viscosity": ({"viscosity": 2.0}, {}, r"one of its numbers is \[2.\] and was \[1.\]"),
-    "law": ({"forces": [Bending(10.0, 0.0, SineRuleCurvature())]}, {}, "its terms differ"),
-    "another force": ({"forces": [Bending(10.0), Weight([0, 1])]}, {}, "its terms differ"),
-    "no flow": ({"flow": None}, {}, "its terms differ"),
-    "beads": ({"chain": Chain(1.0, 6)}, {}, "its terms differ"),
-    "solver": ({}, {"solver": diffrax.Heun()}, "its terms differ"),
-    "substeps": ({}, {"substeps": 7}, "its terms differ"),
+    "rigidity": (
+        {"forces": [Bending(11.0)]},
+        {},
+        r"`scene.forces\[0\].rigidity` was 10.0 and is 11.0",
+    ),
+    "one rigidity": (
+        {"forces": [Bending([10.0, 10.0, 1.0])]},
+        {},
+        r"`scene.forces\[0\].rigidity` had shape \(\) and has \(3,\)",
+    ),
+    "viscosity": ({"viscosity": 2.0}, {}, r"`scene.viscosity` was 1.0 and is 2.0"),
+    "law": (
+        {"forces": [Bending(10.0, 0.0, SineRuleCurvature())]},
+        {},
+        r"`scene.forces\[0\]..*` was .* and is .*SineRuleCurvature",
+    ),
+    "another force": (
+        {"forces": [Bending(10.0), Weight([0, 1])]},
+        {},
+        r"`scene.forces` was \(Bending\) and is \(Bending, Weight\)",
+    ),
+    "no flow": ({"flow": None}, {}, "`scene.flow` was Shear and is None"),
+    "beads": ({"chain": Chain(1.0, 6)}, {}, r"`scene.chain.fibres\[0\]` was 5 and is 6"),
+    "solver": ({}, {"solver": diffrax.Heun()}, "`solver` was AB3 and is Heun"),
+    "substeps": ({}, {"substeps": 7}, "`substeps` was 1 and is 7"),
+    "projected": ({}, {"projected": True}, "`projected` was False and is True"),
+    "steps of another kind": (
+        {},
+        {"solver": diffrax.Tsit5(), "substeps": None},
+        "`solver` was AB3 and is Tsit5",
+    ),
 }
 
 
@@ -766,6 +789,41 @@ def test_the_shell_says_it_too(words, says, capsys, tmp_path, monkeypatch, untra
     assert main(words.split()) == 1
     printed = capsys.readouterr()
     assert re.search(says, sentence(printed.err.rstrip("\n"))) and not printed.out
+
+
+TRACED = {
+    "grad": lambda f: jax.grad(lambda k: f(k).states.position.sum())(1.0),
+    "jit": lambda f: jax.jit(lambda k: f(k).states.position)(1.0),
+    "vmap": lambda f: jax.vmap(lambda k: f(k).states.position)(jnp.ones(2)),
+    "jit of nothing": lambda f: jax.jit(lambda: f(1.0).states.position)(),
+}
+WATCHED = {
+    "scene": lambda k: run(scene=model(forces=[Bending(k)])),
+    "law": lambda k: run_force(ForceField(lambda t, x: k * x)),
+    "state": lambda k: run(State(k * START.position)),
+    "times": lambda k: run(ts=k * TIMES),
+    "tolerance": lambda k: run(tolerance=1e-3 * k),
+    "controller": lambda k: run(controller=diffrax.PIDController(rtol=0.0, atol=1e-6 * k)),
+}
+
+
+@pytest.mark.parametrize("transform", TRACED.values(), ids=TRACED)
+@pytest.mark.parametrize("watched", WATCHED.values(), ids=WATCHED)
+def test_transformations_of_simulate_are_told_to_use_rollout(watched, transform, untraced):
+    with pytest.raises(ValueError, match=r"`simulate` must see.* use `rollout`") as caught:
+        transform(watched)
+    sentence(caught.value)
+
+
+def test_transformations_of_resume_are_told_to_use_rollout(written, unrun):
+    def resumed(k):
+        terms = {"forces": [Bending(10.0 * k)]}
+        return resume(written, model(**terms), substeps=1, progress=False)
+
+    for transform in TRACED.values():
+        with pytest.raises(ValueError, match=r"`resume` must see.* use `rollout`") as caught:
+            transform(resumed)
+        sentence(caught.value)
 
 
 def test_one_bead_with_gears_runs():

@@ -1,6 +1,7 @@
 """The shell: every scene, its results as JSON, its files, and its exit codes."""
 
 import json
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -13,7 +14,7 @@ import jaxbeads
 from jaxbeads.__main__ import main
 from jaxbeads.scenes import MODELS, SCENES
 
-RUN = {"wall_s", "compile_s", "steps", "constraint_residual", "bond_length_error"}
+RUN = {"status", "wall_s", "compile_s", "steps", "constraint_residual", "bond_length_error"}
 # Options with which a scene is quick (a stiff fibre is steady soon), and its observables.
 QUICK = {
     "jeffery": ("--beads 4 --model joint", {"period"}),
@@ -75,6 +76,7 @@ def test_results_as_json(ready, shell):
     options, observables = QUICK[ready.name]
     lines, results = shell(f"{ready.name} {options}")
     assert set(results) == observables | RUN
+    assert results.pop("status") in ("finished", "stopped by `until`")
     assert all(np.all(np.isfinite(value)) for value in results.values())
     assert results["steps"] > 0 and results["wall_s"] > 0 and results["compile_s"] >= 0
     assert results["constraint_residual"] < 1e-12 and results["bond_length_error"] < 0.01
@@ -157,3 +159,60 @@ def test_as_a_module():
     refused = run("shear", "--beads", "2")
     assert refused.returncode == 1 and not refused.stdout
     assert refused.stderr == "Argument `beads` must be at least 3, but it is 2.\n"
+
+
+# A shell that runs this in the background has told it to ignore Ctrl-C.
+_SHELL = """
+import runpy, signal
+signal.signal(signal.SIGINT, signal.default_int_handler)
+runpy.run_module("jaxbeads", run_name="__main__")
+"""
+LONG = "settling --beads 31 --elasto-gravitational 1000 --tolerance 1e-9 --json"
+
+
+def started(words, **pipes):
+    command = [sys.executable, "-c", _SHELL, *words.split()]
+    root = Path(jaxbeads.__file__).parents[1]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | pipes
+    return subprocess.Popen(command, cwd=root, text=True, **pipes)
+
+
+@pytest.mark.slow
+def test_ctrl_c_is_no_success(tmp_path):
+    with started(f"{LONG} --out {tmp_path}") as process:
+        # Its bar of progress is there: it is running.
+        assert "0%" in "".join(process.stderr.readline(1) for _ in range(30))
+        process.send_signal(signal.SIGINT)
+        printed, said = process.communicate(timeout=300)
+    assert process.returncode == 130
+    results = json.loads(printed.splitlines()[-1])
+    assert results["status"] == "interrupted" and set(results) == RUN
+    assert "interrupted" in printed.splitlines()[0] and "was interrupted at t =" in said
+    assert "Traceback" not in said
+    assert [path.name for path in tmp_path.iterdir()] == ["settling.h5"]
+    assert jaxbeads.load(tmp_path / "settling.h5").status == "unfinished"
+
+
+def test_ctrl_c_outside_a_run(monkeypatch, capsys):
+    def pressed(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("jaxbeads.scenes.case.simulate", pressed)
+    assert main(["jeffery", "--beads", "4", "--json"]) == 130
+    printed = capsys.readouterr()
+    assert printed.out == "" and printed.err == "Interrupted.\n"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("words", ["", "--help", "jeffery --beads 4 --json"])
+@pytest.mark.parametrize("both", [False, True])
+def test_nobody_reads_on(words, both):
+    # As `| head` and `2>&1 | head` do.
+    process = started(words, **({"stderr": subprocess.STDOUT} if both else {}))
+    with process:
+        process.stdout.close()
+        said = "" if both else process.stderr.read()
+        code = process.wait(timeout=300)
+    # Without a buffer `argparse` itself passes over it.
+    assert code == 141 or (code == 0 and words == "--help")
+    assert not any(word in said for word in ("Traceback", "BrokenPipe", "Exception ignored"))

@@ -2,6 +2,9 @@
 
 import os
 import signal
+import subprocess
+import sys
+from pathlib import Path
 
 import diffrax
 import jax
@@ -203,3 +206,175 @@ def test_an_interrupt_in_the_middle_of_a_write(place, tmp_path, monkeypatch):
     assert 1 < len(load(path).ts) < 13
     resume(path, model(), substeps=5, progress=False)
     assert bits(load(path)) == bits(whole)
+
+
+# What may be another when a run goes on, and what not.
+
+
+LONG = np.linspace(0.0, 120.0, 13)
+
+
+def stopped_at_its_limit(path, scene=None):
+    with pytest.raises(SimulationError, match="raise `max_steps`"):
+        simulate(
+            scene or model(),
+            bent(CHAIN),
+            LONG,
+            solver=diffrax.Tsit5(),
+            tolerance=1e-10,
+            max_steps=3,
+            progress=False,
+            file=path,
+        )
+    return {"solver": diffrax.Tsit5(), "tolerance": 1e-10, "progress": False}
+
+
+def test_a_run_goes_on_with_larger_limits(tmp_path):
+    path = tmp_path / "run.h5"
+    options = stopped_at_its_limit(path)
+    done = len(load(path).ts)
+    assert load(path).status == "unfinished" and 1 <= done < len(LONG)
+    rest = resume(path, model(), max_steps=10**6, chunk=2, bond_tolerance=0.02, **options)
+    whole = simulate(model(), bent(CHAIN), LONG, max_steps=10**6, **options)
+    assert bits(load(path)) == bits(whole) and int(rest.steps) == int(whole.steps)
+    assert load(path).status == rest.status == "finished" and int(rest.code) == 0
+    assert len(rest.ts) == len(LONG) - done + 1
+
+
+def pulled(strength, law=None):
+    """A scene with a law that holds a number."""
+    return model(ForceField(law or (lambda t, x: strength * jnp.sin(t / 9) + 0.0 * x)))
+
+
+def test_numbers_of_the_solver_and_of_laws_are_compared(tmp_path):
+    path = tmp_path / "run.h5"
+    options = stopped_at_its_limit(path, pulled(0.5))
+    before = path.read_bytes()
+    for scene, others, says in (
+        (pulled(0.5), {"tolerance": 1e-9}, "`controller.atol` was 1.2.*e-09 and is 1.2.*e-08"),
+        (pulled(0.6), {}, r"`scene.forces\[1\].function.strength` was 0.5 and is 0.6"),
+        (pulled(0, lambda t, x: jnp.cos(t) + 0.0 * x), {}, r"function` was .* is .*<lambda>"),
+        (model(), {}, r"`scene.forces` was \(Bending, ForceField\) and is \(Weight, Bending\)"),
+    ):
+        with pytest.raises(ValueError, match=says) as caught:
+            resume(path, scene, **options | others)
+        assert str(caught.value).startswith("Argument `scene` must be the scene and solver")
+        assert path.read_bytes() == before
+    assert len(resume(path, pulled(0.5), **options).ts) > 1
+
+
+_ELSEWHERE = """
+import os, sys, pathlib
+import jax
+jax.config.update("jax_enable_x64", True)
+import test_files
+what, path = sys.argv[1:]
+if what == "resume":
+    options = {"solver": test_files.diffrax.Tsit5(), "tolerance": 1e-10, "progress": False}
+    test_files.resume(path, test_files.pulled(0.5), **options)
+else:  # as a second program
+    for run in (test_files.simulated, test_files.resumed):
+        try:
+            run(path)
+        except ValueError as error:
+            print(error)
+"""
+
+
+def elsewhere(what, path):
+    """In another process."""
+    command = [sys.executable, "-c", _ELSEWHERE, what, str(path)]
+    here = Path(__file__).parent
+    done = subprocess.run(command, cwd=here, text=True, capture_output=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()
+
+
+@pytest.mark.slow
+def test_the_same_lambda_in_a_new_process(tmp_path):
+    path = tmp_path / "run.h5"
+    options = stopped_at_its_limit(path, pulled(0.5))
+    elsewhere("resume", path)
+    assert bits(load(path)) == bits(simulate(pulled(0.5), bent(CHAIN), LONG, **options))
+
+
+def simulated(path, **options):
+    return simulate(model(), bent(CHAIN), TIMES, substeps=5, progress=False, file=path, **options)
+
+
+def resumed(path):
+    return resume(path, model(), substeps=5, progress=False)
+
+
+IN_USE = "Argument `file` must not be in use, but another run writes to {}."
+
+
+@pytest.mark.parametrize("older", [False, True])
+def test_a_file_in_use_is_left_alone(older, tmp_path):
+    path, link, said, seen = tmp_path / "run.h5", tmp_path / "link.h5", [], []
+    link.symlink_to(path)
+    if older:
+        simulated(path)
+
+    def meddle(solution):
+        if not said:
+            before = path.read_bytes()
+            said.extend(elsewhere("meddle", path))
+            for run in (simulated, resumed):  # in the same process, by another name too
+                for name in (path, link):
+                    with pytest.raises(ValueError) as caught:
+                        run(name)
+                    said.append(str(caught.value).replace("link.h5", "run.h5"))
+            assert path.read_bytes() == before
+            seen.append(len(load(path).ts))
+        return False
+
+    whole = simulated(path, until=meddle, chunk=1)
+    assert said == [IN_USE.format(path)] * 6 and seen == [2]
+    assert bits(load(path)) == bits(whole)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["link.h5", "run.h5"]
+    assert bits(simulated(path)) == bits(whole)  # no longer in use
+
+
+def test_a_run_that_does_not_begin_leaves_an_older_file(tmp_path):
+    path = tmp_path / "run.h5"
+    simulated(path)
+    before = path.read_bytes()
+    twice = Scene(CHAIN, 1.0, constraints=[Gears(), Gears()], forces=[Bending(4.0)])
+    nowhere = model(ForceField(lambda t, x: x / 0.0))
+    for scene, options, kind in (
+        (twice, {}, ValueError),
+        (nowhere, {}, SimulationError),
+        (model(), {"bond_tolerance": -1.0}, ValueError),
+        (model(), {"max_steps": 0}, ValueError),
+    ):
+        with pytest.raises(kind):
+            simulate(scene, bent(CHAIN), TIMES, progress=False, file=path, **options)
+        assert path.read_bytes() == before
+        assert [p.name for p in tmp_path.iterdir()] == ["run.h5"]
+
+
+def test_what_is_no_trajectory_file_is_replaced(tmp_path):
+    path = tmp_path / "run.h5"
+    path.write_text("hello\n")
+    whole = simulated(path)
+    assert bits(load(path)) == bits(whole)
+    assert [p.name for p in tmp_path.iterdir()] == ["run.h5"]
+
+
+def test_a_place_that_is_taken_in_the_meantime(tmp_path, monkeypatch):
+    # Two runs that find no file and begin at once: the second to write its first state is turned away.
+    path, other = tmp_path / "run.h5", []
+    take = jaxbeads.places.Place.take
+
+    def late(place):
+        if not other:
+            other.append(None)
+            other[0] = simulated(path)
+        take(place)
+
+    monkeypatch.setattr(jaxbeads.places.Place, "take", late)
+    with pytest.raises(ValueError, match="must not be in use"):
+        simulated(path)
+    assert bits(load(path)) == bits(other[0])
+    assert [p.name for p in tmp_path.iterdir()] == ["run.h5"]

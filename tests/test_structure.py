@@ -15,19 +15,21 @@ PACKAGE = Path(jaxbeads.__file__).parent
 ORDER = [
     {"plain"},
     {"_compat"},
-    {"_typing", "_checks", "loops"},
-    {"factors", "iterations"},
-    {"vary", "optimise", "chunks", "cache"},
+    {"_typing", "_checks", "loops", "programs"},
+    {"_functions"},
+    {"factors", "iterations", "units"},
+    {"vary", "optimise", "chunks", "cache", "contents", "places"},
     {"state", "geometry"},
-    {"pairs"},
+    {"pairs", "solution"},
     {"tensors"},
     {"chain", "flow", "actuation", "numbers"},
-    {"mobility", "constraint", "force"},
+    {"frames"},
+    {"mobility", "constraint", "force", "coincidence"},
     {"scene"},
     {"windows"},
     {"coordinates", "saddle"},
     {"dynamics"},
-    {"linearise", "observables"},
+    {"linearise", "observables", "faults"},
     {"solver", "steady"},
     {"rollout"},
     {"breakdown", "files", "objectives", "periodic"},
@@ -36,7 +38,7 @@ ORDER = [
     {"__main__"},
 ]
 # What the files of a sub-package may import from one another.
-SHARED = {"solver": {"ab3"}, "force": {"base", "curvature"}, "scenes": {"case", "models"}}
+SHARED = {"solver": {"ab3", "watch"}, "force": {"base", "curvature"}, "scenes": {"case", "models"}}
 RANK = {name: rank for rank, row in enumerate(ORDER) for name in row}
 
 

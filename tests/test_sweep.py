@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import xarray
 from cases import bent
 
 from jaxbeads import Chain, Scene, rollout, sweep
@@ -48,7 +49,7 @@ def table():
 
 def test_labels_and_numbers(table):
     assert dict(table.sizes) == {"rigidity": 3, "weight": 2, "path_0": 5, "path_1": 2}
-    assert np.all(table.code == 0) and table.attrs["failures"] == []
+    assert np.all(table.code == 0) and table.attrs["failures"] == ""
     assert np.all(table.steps > 0)
     one = jax.jit(lambda rigidity, weight: rollout(*build(rigidity, weight), TS).states.position)
     for rigidity in AXES["rigidity"]:
@@ -78,7 +79,7 @@ def test_a_member_that_fails_changes_no_other():
     assert np.isnan(bad.span[2, 0]) and np.isnan(bad.path[2]).all()
     for k in (0, 1, 3):
         assert np.array_equal(bad.path[k], fine.path[k]) and bad.span[k, 0] == fine.span[k, 0]
-    (sentence,) = bad.attrs["failures"]
+    (sentence,) = bad.attrs["failures"].splitlines()
     assert sentence.startswith("rigidity = 1e+06, weight = 0.5: broke down (code")
     assert "step" in sentence and "bead" in sentence and "Bending" in sentence
 
@@ -95,7 +96,7 @@ def test_members_that_fail_with_adaptive_steps():
     alone = sweep(wall, {"weight": [0.1, 0.1]}, TS, measure, **options)
     assert found.code[0] == 0 and found.code[1] != 0
     assert np.array_equal(found.path[0], alone.path[0])
-    assert "weight = 50: broke down" in found.attrs["failures"][0]
+    assert "weight = 50: broke down" in found.attrs["failures"]
 
 
 def test_a_measure_that_is_not_finite():
@@ -106,9 +107,8 @@ def test_a_measure_that_is_not_finite():
         build, {"rigidity": [1.0, 5.0], "weight": [0.5]}, TS, odd, progress=False, substeps=20
     )
     assert list(found.code.values.ravel()) == [4, 0]
-    assert found.attrs["failures"] == [
-        "rigidity = 1, weight = 0.5: what is measured is not finite (code 4)"
-    ]
+    sentence = "rigidity = 1, weight = 0.5: what is measured is not finite (code 4)"
+    assert found.attrs["failures"] == sentence
 
 
 @pytest.mark.parametrize(
@@ -176,7 +176,7 @@ def test_an_interrupted_sweep_goes_on(tmp_path, monkeypatch):
     monkeypatch.setattr(chunks._Store, "write", interrupted)
     table = swept(tmp_path)
     assert list(table.code) == [0, 0, 0, 0, -1]
-    assert table.attrs["failures"] == ["weight = 5: not run: interrupted"]
+    assert table.attrs["failures"] == "weight = 5: not run: interrupted"
     monkeypatch.undo()
     assert swept(tmp_path).identical(swept(None))
 
@@ -268,3 +268,105 @@ def test_a_killed_sweep_goes_on(tmp_path):
     assert ended(start(2, killed)) == [table]
     after = {path.name: path.stat().st_mtime_ns for path in killed.glob("*.npz")}
     assert len(after) == 4 and {name: after[name] for name in before} == before
+
+
+def measured(**found):
+    return lambda solution, scene: found
+
+
+NAMES = {
+    "code": (measured(code=1.0), "'code', which the table has for something else"),
+    "steps": (measured(steps=1.0), "'steps', which the table has for something else"),
+    "an axis": (measured(weight=1.0), "'weight', which the table has for something else"),
+    "a dimension": (measured(a=jnp.ones(2), a_0=1.0), "'a_0' is a dimension of 'a' and something"),
+    "no mapping": (lambda solution, scene: [1.0], "by name, but it returns a list"),
+    "nothing": (lambda solution, scene: None, "by name, but it returns None"),
+    "a number": (lambda solution, scene: jnp.ones(()), "by name, but it returns a"),
+    "text": (measured(name="fibre"), "by name, but 'name' is 'fibre'"),
+    "complex": (measured(rate=1j), "real numbers, but 'rate' is complex"),
+    "empty": (measured(bend=jnp.ones((2, 0))), "at least one number .* but 'bend' is empty"),
+    "no text": (lambda solution, scene: {1: 1.0}, "names that are text, but one of them is a"),
+    "a path": (measured(**{"a/b": 1.0}), "a netCDF file can hold, but one of them is 'a/b'"),
+    "no name": (measured(**{"": 1.0}), "a netCDF file can hold, but one of them is ''"),
+    "a space": (measured(**{"a ": 1.0}), "a netCDF file can hold, but one of them is 'a '"),
+    "a type": (measured(real=1.0), "a netCDF file can hold, but one of them is 'real'"),
+}
+
+
+@pytest.fixture
+def unrun(monkeypatch):
+    """Nothing may be compiled."""
+
+    def never(*_, **__):
+        raise AssertionError("not refused in time")
+
+    monkeypatch.setattr("jaxbeads.chunks.jax.block_until_ready", never)
+
+
+@pytest.mark.parametrize("measure, says", NAMES.values(), ids=NAMES)
+def test_names_of_the_table_are_its_own(measure, says, unrun, tmp_path):
+    for folder in (None, tmp_path / "sweep"):
+        with pytest.raises(ValueError, match=f"^Argument `measure` must return .*{says}"):
+            swept(folder, measure=measure)
+
+
+def test_names_of_axes(unrun):
+    def anything(**values):
+        return cheap(next(iter(values.values())))
+
+    two = {"a": [1.0, 2.0], "member": [1.0, 2.0]}
+    taken = measured(member=1.0)
+    for axes, options, found, says in (
+        ({"code": [1.0]}, {}, place, "`axes` must not hold 'code'"),
+        ({"steps": [1.0]}, {"paired": True}, place, "`axes` must not hold 'steps'"),
+        ({"a/b": [1.0]}, {}, place, "`axes` must hold names that a netCDF file can hold"),
+        ({"a b": [1.0]}, {"paired": True}, place, "`axes` must hold names without spaces"),
+        ({"a": [1.0]}, {"paired": True}, taken, "`measure` must return names of its own"),
+        ({"place_0": [1.0]}, {}, place, "'place_0' is a dimension of 'place' and something else"),
+    ):
+        with pytest.raises(ValueError, match=says):
+            sweep(anything, axes, TS, found, substeps=2, progress=False, **options)
+    monkey = {"substeps": 2, "progress": False}
+    with pytest.raises(AssertionError, match="in time"):  # these are fine
+        sweep(anything, two, TS, place, **monkey)
+    with pytest.raises(AssertionError, match="in time"):
+        sweep(anything, {"a": [1.0]}, TS, taken, **monkey)
+
+
+WRITERS = [None, *sorted(set(xarray.backends.list_engines()) & {"scipy", "netcdf4", "h5netcdf"})]
+
+
+@pytest.mark.parametrize("engine", WRITERS)
+@pytest.mark.parametrize("failing", [0, 1, 3, 5])
+@pytest.mark.parametrize("paired", [False, True])
+def test_tables_are_written_and_read_back(engine, failing, paired, tmp_path):
+    # By the writer that comes with the package, and by those that others may have.
+    def found(solution, scene):
+        weight = -scene.forces[0].force[1]
+        number = jnp.where(weight <= failing, jnp.nan, weight)
+        return {
+            "number": number,
+            "count": solution.steps,
+            "grösse der Spitze [µm²]": solution.states.position[-1],
+            "2nd": number > 2,
+            "_tensor": number * jnp.ones((2, 1, 3)),
+        }
+
+    table = swept(None, measure=found, paired=paired)
+    assert len(table.attrs["failures"].splitlines()) == failing
+    assert (table.code.values == 4).sum() == failing
+    table.to_netcdf(tmp_path / "table.nc", engine=engine)
+    with xarray.open_dataset(tmp_path / "table.nc", engine=engine) as held:
+        again = held.load()
+    assert again.identical(table)
+    assert again.attrs["failures"] == table.attrs["failures"]
+    assert np.issubdtype(again.code.dtype, np.integer)
+
+
+def test_a_table_with_sentences_of_simulate(tmp_path):
+    table = quiet(build, {"rigidity": [5.0, 1e6], "weight": [0.5]}, substeps=20)
+    (sentence,) = table.attrs["failures"].splitlines()
+    assert "Bending" in sentence and "solver.explicit_step" in sentence
+    table.to_netcdf(tmp_path / "table.nc", engine="scipy")
+    with xarray.open_dataset(tmp_path / "table.nc", engine="scipy") as held:
+        assert held.load().identical(table)

@@ -6,7 +6,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._typing import leaf_function
+from .._functions import curvature_of, leaf_function
 from .base import AbstractCurvature
 
 Planar = Callable[[Array, Array, Array], Array]
@@ -15,10 +15,11 @@ Planar = Callable[[Array, Array, Array], Array]
 class TwoPlanes(AbstractCurvature):
     """kappa_0 = kappa_1(s, t) n_1 + kappa_2(s, t) n_2, for a fibre in space.
 
-    n_1 and n_2 are normals of the fibre at each joint, free of twist: y and z, turned by the smallest
-    rotation from x to the fibre's end-to-end direction and on by that to the local tangent. A
-    curvature vector is the normal of the plane of bending. Two equal waves a quarter of a period
-    apart make a helical wave.
+    n_1 is the normal that the state holds for the fibre, n_2 = a x n_1 with a its end-to-end direction;
+    both turn with a, without spin about it, and are turned on to each joint by the smallest rotation
+    from a to the local tangent. A curvature vector is the normal of the plane of bending. Two equal
+    waves a quarter of a period apart make a helical wave. A state without a normal starts with y, turned
+    by the smallest rotation from x to a (from -x, where a points that way). See `jaxbeads.frames`.
 
     The model has no torsion that could carry a frame along with a fibre that spins about its axis. A
     frame that does not spin sees the same wave at another frequency, so nothing is lost but that shift.
@@ -30,8 +31,8 @@ class TwoPlanes(AbstractCurvature):
     second: Planar
 
     def __init__(self, first: Any, second: Any) -> None:
-        self.first = leaf_function(first)
-        self.second = leaf_function(second)
+        self.first = leaf_function(first, "first")
+        self.second = leaf_function(second, "second")
 
     def __call__(
         self,
@@ -40,6 +41,6 @@ class TwoPlanes(AbstractCurvature):
         length: Float[Array, " joints"],
     ) -> Float[Array, "joints 2"]:
         """Curvature in each plane at each joint [1/length]."""
-        return jnp.stack(
-            [kappa(t, arclength, length) for kappa in (self.first, self.second)], axis=1
-        )
+        planes = {"TwoPlanes.first": self.first, "TwoPlanes.second": self.second}
+        planar = [curvature_of(n, f, t, arclength, length, 2) for n, f in planes.items()]
+        return jnp.stack(planar, axis=1)

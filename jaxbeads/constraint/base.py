@@ -29,6 +29,10 @@ class AbstractConstraint(eqx.Module):
     """Whether `slip` reads spins."""
     oriented: ClassVar[bool] = False
     """Whether `slip` reads directors."""
+    turning: ClassVar[bool] = False
+    """Whether `slip` is a rate of turning [1/time], not a velocity."""
+    links: ClassVar[bool] = False
+    """Whether it keeps neighbours together."""
 
     @abc.abstractmethod
     def slip(self, t: Float[Array, ""], state: State, motion: Motion, chain: Chain) -> Array:
@@ -37,6 +41,18 @@ class AbstractConstraint(eqx.Module):
     @property
     def held(self) -> int | None:
         """Index of a bead whose place it prescribes: its fibre is placed by it."""
+        return None
+
+    def off_law(
+        self,
+        t: Float[Array, ""],
+        state: State,
+        start: tuple[Float[Array, ""], State],
+        chain: Chain,
+    ) -> tuple[Array, Array] | None:
+        """How far what it prescribes is from where its law leads since the start (a time and a state),
+        and how far the law leads, vectors of any number [length]. `None` if it has no law of places.
+        Only a law's derivative is enforced: where the law jumps, nobody follows."""
         return None
 
     def check(self, chain: Chain, dim: int) -> None:
@@ -49,6 +65,8 @@ class AbstractChainConstraint(AbstractConstraint):
     It knows a direct way to S = J M J^T (any other constraint's is built by columns), and what its
     rows keep when integrated exactly, so that the drift of time stepping can be measured and removed.
     """
+
+    links: ClassVar[bool] = True
 
     @abc.abstractmethod
     def assemble(

@@ -14,6 +14,7 @@ class EqualSpins(AbstractConstraint):
     in space. (`FrozenJoints` also freezes the shape, but lets the beads roll.)"""
 
     rotational: ClassVar[bool] = True
+    turning: ClassVar[bool] = True
 
     def slip(self, t: Float[Array, ""], state: State, motion: Motion, chain: Chain) -> Array:
         """Difference of neighbours' spins [1/time], `(bonds, spins)` of the bonds that exist."""

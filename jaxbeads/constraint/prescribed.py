@@ -11,13 +11,12 @@ from collections.abc import Callable
 from typing import Any, ClassVar
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._checks import index, law, whole
-from .._typing import leaf_function
-from ..chain import Chain
+from .._checks import index, whole
+from .._functions import check_law, law_of, leaf_function, rate_of
+from ..chain import Chain, check_bond
 from ..geometry import bonds, norm, normals, tangents, unit
 from ..state import Motion, State, spins
 from .base import AbstractConstraint
@@ -25,13 +24,22 @@ from .base import AbstractConstraint
 Law = Callable[[Array], Array]
 
 
+_ALONG = 1e-6
+"""Distance of a bond's direction from its law up to which it counts as the same."""
+
+
+def _needed(function: Any) -> Any:
+    return leaf_function(function, "law")
+
+
 def _law(function: Any) -> Any:
-    return None if function is None else leaf_function(function)
+    return None if function is None else _needed(function)
 
 
-def _rate(law: Law, t: Float[Array, ""]) -> Array:
-    """Time derivative of a law."""
-    return jax.jvp(law, (t,), (jnp.ones_like(t),))[1]
+def _led(name: str, law: Law, t: Array, start: Array, like: Array) -> Array:
+    """Where a law has led since the start."""
+    now, then = (law_of(name, law, at, like.shape, like.dtype) for at in (t, start))
+    return now - then
 
 
 class PrescribedPosition(AbstractConstraint):
@@ -60,12 +68,29 @@ class PrescribedPosition(AbstractConstraint):
     def check(self, chain: Chain, dim: int) -> None:
         """A bead of the chain, and a law of the scene's dimension."""
         index("PrescribedPosition.bead", self.bead, chain.beads)
-        law("PrescribedPosition.law", self.law, (dim,))
+        check_law("PrescribedPosition.law", self.law, (dim,), chain.radius.dtype)
 
     def slip(self, t: Float[Array, ""], state: State, motion: Motion, chain: Chain) -> Array:
         """Velocity of the bead minus that of the law [length/time], `(dim,)`."""
         velocity = motion.velocity[self.bead]
-        return velocity if self.law is None else velocity - _rate(self.law, t)
+        if self.law is None:
+            return velocity
+        name, size = "PrescribedPosition.law", velocity.shape
+        return velocity - rate_of(name, self.law, t, size, velocity.dtype)
+
+    def off_law(
+        self,
+        t: Float[Array, ""],
+        state: State,
+        start: tuple[Float[Array, ""], State],
+        chain: Chain,
+    ) -> tuple[Array, Array] | None:
+        """Its way minus that of the law, and that of the law."""
+        if self.law is None:
+            return None
+        place = state.position[self.bead]
+        led = _led("PrescribedPosition.law", self.law, t, start[0], place)
+        return state.position[self.bead] - start[1].position[self.bead] - led, led
 
 
 class PrescribedSpin(AbstractConstraint):
@@ -79,6 +104,7 @@ class PrescribedSpin(AbstractConstraint):
     """
 
     rotational: ClassVar[bool] = True
+    turning: ClassVar[bool] = True
     law: Law | None = eqx.field(converter=_law, default=None)
     bead: int = eqx.field(static=True, default=0)
 
@@ -88,7 +114,7 @@ class PrescribedSpin(AbstractConstraint):
     def check(self, chain: Chain, dim: int) -> None:
         """A bead of the chain, and a law of the scene's dimension."""
         index("PrescribedSpin.bead", self.bead, chain.beads)
-        law("PrescribedSpin.law", self.law, (spins(dim),))
+        check_law("PrescribedSpin.law", self.law, (spins(dim),), chain.radius.dtype)
 
     def slip(self, t: Float[Array, ""], state: State, motion: Motion, chain: Chain) -> Array:
         """Spin of the bead minus that of the law [1/time], `(spins,)`."""
@@ -97,7 +123,9 @@ class PrescribedSpin(AbstractConstraint):
                 "Argument `motion` must hold spins for PrescribedSpin, but it holds none."
             )
         spin = motion.spin[self.bead]
-        return spin if self.law is None else spin - self.law(t)
+        if self.law is None:
+            return spin
+        return spin - law_of("PrescribedSpin.law", self.law, t, spin.shape, spin.dtype)
 
 
 class PrescribedDirection(AbstractConstraint):
@@ -107,7 +135,8 @@ class PrescribedDirection(AbstractConstraint):
 
     - `law`: function of the time that returns a unit vector, shape `(dim,)`; only its derivative is
       used. `None`: the direction is held.
-    - `bond`: index of the bond, from bead `bond` to the next; -1 is the last one.
+    - `bond`: index of the bond, from bead `bond` to the next; -1 is the last one. Indices count the
+      rows of neighbours of all fibres; one that leads from a fibre to the next is refused.
     """
 
     rotational: ClassVar[bool] = False
@@ -119,8 +148,8 @@ class PrescribedDirection(AbstractConstraint):
 
     def check(self, chain: Chain, dim: int) -> None:
         """A bond of the chain, and a law of the scene's dimension."""
-        index("PrescribedDirection.bond", self.bond, chain.beads - 1)
-        law("PrescribedDirection.law", self.law, (dim,))
+        check_bond("PrescribedDirection.bond", self.bond, chain)
+        check_law("PrescribedDirection.law", self.law, (dim,), chain.radius.dtype)
 
     def slip(self, t: Float[Array, ""], state: State, motion: Motion, chain: Chain) -> Array:
         """Normal velocity of the bond's end about its start minus the law's [length/time],
@@ -128,8 +157,27 @@ class PrescribedDirection(AbstractConstraint):
         d = bonds(state.position)[self.bond]
         e, turning = unit(d), bonds(motion.velocity)[self.bond]
         if self.law is not None:
-            turning = turning - norm(d) * _rate(self.law, t)
+            name = "PrescribedDirection.law"
+            turning = turning - norm(d) * rate_of(name, self.law, t, d.shape, d.dtype)
         return normals(e) @ turning
+
+    def off_law(
+        self,
+        t: Float[Array, ""],
+        state: State,
+        start: tuple[Float[Array, ""], State],
+        chain: Chain,
+    ) -> tuple[Array, Array] | None:
+        """The way of the bond's end about its beginning minus that of the law, and that of the law, if
+        the bond started along it."""
+        if self.law is None:
+            return None
+        (before, then), length = start, chain.bond_length[self.bond]
+        now, first = (tangents(s.position)[self.bond] for s in (state, then))
+        name = "PrescribedDirection.law"
+        along = norm(first - law_of(name, self.law, before, first.shape, first.dtype)) < _ALONG
+        led = _led(name, self.law, t, before, first)
+        return jnp.where(along, length, 0.0) * (now - first - led), length * led
 
 
 class PrescribedLengths(AbstractConstraint):
@@ -142,16 +190,32 @@ class PrescribedLengths(AbstractConstraint):
     """
 
     rotational: ClassVar[bool] = False
-    law: Law = eqx.field(converter=leaf_function)
+    law: Law = eqx.field(converter=_needed)
+    links: ClassVar[bool] = True
 
     def check(self, chain: Chain, dim: int) -> None:
         """A length for each bond."""
-        law("PrescribedLengths.law", self.law, (chain.beads - 1,))
+        bonds, dtype = max(chain.beads - 1, 0), chain.radius.dtype
+        check_law("PrescribedLengths.law", self.law, (bonds,), dtype)
 
     def slip(self, t: Float[Array, ""], state: State, motion: Motion, chain: Chain) -> Array:
         """Rate of each bond's length minus the law's [length/time], of the bonds that exist."""
         stretching = (tangents(state.position) * bonds(motion.velocity)).sum(axis=1)
-        return (stretching - _rate(self.law, t))[chain.bond_mask]
+        size, dtype = stretching.shape, stretching.dtype
+        rate = rate_of("PrescribedLengths.law", self.law, t, size, dtype)
+        return (stretching - rate)[chain.bond_mask]
+
+    def off_law(
+        self,
+        t: Float[Array, ""],
+        state: State,
+        start: tuple[Float[Array, ""], State],
+        chain: Chain,
+    ) -> tuple[Array, Array] | None:
+        """What the bonds have lengthened minus what the law has, and what the law has."""
+        now, first = (norm(bonds(s.position)) for s in (state, start[1]))
+        led = _led("PrescribedLengths.law", self.law, t, start[0], now) * chain.bond_mask
+        return (now - first) * chain.bond_mask - led, led
 
 
 def clamped(end: int = 0, *, spinless: bool = False) -> tuple[AbstractConstraint, ...]:
@@ -159,7 +223,9 @@ def clamped(end: int = 0, *, spinless: bool = False) -> tuple[AbstractConstraint
 
     **Arguments**
 
-    - `end`: 0 for the first bead, -1 for the last.
+    - `end`: 0 for the first bead, -1 for the last. Of several fibres, bead `end` of all, with the bond
+      to the next bead if it is counted from the first, with that from the bead before if it is counted
+      from the last, as -1.
     - `spinless`: for scenes without rotation; otherwise the bead's spin is held too, eq. (59).
     """
     held = (PrescribedPosition(bead=end), PrescribedDirection(bond=end))

@@ -3,21 +3,32 @@
 from collections.abc import Callable
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._typing import leaf_function
+from .._functions import leaf_function, trial, value_of
 from .base import AbstractFlow
 
 
 class VelocityField(AbstractFlow):
     """u = f(t, x) from a function of the time and one point, shape `(dim,)`.
 
-    Spin and rate of strain follow by differentiation. A function that is a pytree (an
+    Spin, rate of strain and what a sphere of finite radius feels of a curved field, (1 + a^2/6 lap) u,
+    follow by differentiation, so the function needs derivatives up to the third (the fourth for implicit
+    solvers). A function that is a pytree (an
     `equinox.Module`) keeps its parameters as leaves; what a plain function closes over is constant.
     """
 
     function: Callable[[Array, Array], Array] = eqx.field(converter=leaf_function)
 
+    def check(self, dim: int) -> None:
+        """A velocity of the scene's dimension, with derivatives."""
+        t, x = jnp.zeros(()), jnp.zeros(dim)
+        trial(jax.jacfwd(self.velocity, argnums=1), t, x)
+
     def velocity(self, t: Float[Array, ""], x: Float[Array, " dim"]) -> Float[Array, " dim"]:
         """The function's value."""
-        return self.function(t, x)
+        name, given = "VelocityField.function", "a time and a point"
+        arguments = jnp.asarray(t, x.dtype), x
+        return value_of(name, given, self.function, *arguments, shapes=(x.shape,), dtype=x.dtype)

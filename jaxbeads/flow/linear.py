@@ -4,6 +4,7 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._checks import fail, finite, known, shape
@@ -88,7 +89,7 @@ class LinearFlow(AbstractLinearFlow):
         """A matrix of the scene's dimension, without a trace in space."""
         shape("LinearFlow.matrix", self.matrix, (dim, dim))
         if dim == 3 and known(self.matrix):
-            trace, size = jnp.trace(self.matrix), jnp.max(jnp.abs(self.matrix))
+            trace, size = np.trace(self.matrix), np.max(np.abs(self.matrix))
             if abs(trace) > 1e-6 * size:
                 fail("LinearFlow.matrix", "have no trace (incompressible)", f"it is {trace:g}")
 

@@ -1,5 +1,7 @@
 """Pressure-driven flow between plates."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -12,9 +14,12 @@ from .base import AbstractFlow
 class Poiseuille(AbstractFlow):
     """Plane Poiseuille flow, u_x = speed (1 - (y / half_width)^2). The plates are not modelled.
 
+    A sphere is slower than the fluid at its centre, by speed a^2 / (3 half_width^2).
+
     **Arguments** `speed` on the centre line [length/time], `half_width` [length], positive.
     """
 
+    smooth: ClassVar[bool] = True
     speed: Float[Array, ""] = eqx.field(converter=float_array)
     half_width: Float[Array, ""] = eqx.field(converter=float_array)
 
@@ -27,3 +32,7 @@ class Poiseuille(AbstractFlow):
     def velocity(self, t: Float[Array, ""], x: Float[Array, " dim"]) -> Float[Array, " dim"]:
         """The parabola."""
         return jnp.zeros_like(x).at[0].set(self.speed * (1 - (x[1] / self.half_width) ** 2))
+
+    def laplacian(self, t: Float[Array, ""], x: Float[Array, " dim"]) -> Float[Array, " dim"]:
+        """The pressure gradient over the viscosity, the same everywhere."""
+        return jnp.zeros_like(x).at[0].set(-2 * self.speed / self.half_width**2)

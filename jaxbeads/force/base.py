@@ -6,7 +6,7 @@ from typing import ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from ..chain import Chain
 from ..state import Load, State
@@ -19,6 +19,13 @@ class AbstractForce(eqx.Module):
     """Whether the load holds torques."""
     oriented: ClassVar[bool] = False
     """Whether the load depends on directors."""
+    smooth: ClassVar[bool] = False
+    """Whether the load changes little where a bead moves by less than its radius (true of loads that
+    depend on the fibre's shape). Adaptive steps look along their path for what others do."""
+    passes: ClassVar[bool] = False
+    """Whether `passed` has something to say."""
+    links: ClassVar[bool] = False
+    """Whether it keeps neighbours together, as springs do."""
 
     @abc.abstractmethod
     def load(self, t: Float[Array, ""], state: State, chain: Chain) -> Load:
@@ -26,6 +33,15 @@ class AbstractForce(eqx.Module):
 
     def check(self, chain: Chain, dim: int) -> None:
         """Refuse a chain or a dimension that the force cannot serve, in one sentence."""
+
+    def passed(self, before: State, after: State, chain: Chain) -> Bool[Array, ""]:
+        """Whether beads that go straight from one state to another pass something that acts on them on
+        the way, but at neither end: such a step is tried again with a smaller one."""
+        return jnp.zeros((), bool)
+
+    def framed(self, chain: Chain) -> bool:
+        """Whether it acts along the normals of fibres in space, see `frames`."""
+        return False
 
     def explicit_step(self, chain: Chain, viscosity: Float[Array, ""]) -> Float[Array, ""]:
         """Time step [time] that is safe for explicit solvers where this force is stiff: half of AB3's
@@ -46,7 +62,7 @@ class AbstractPotential(AbstractForce):
         """F = -dE/dr."""
 
         def energy(position: Array) -> Array:
-            return self.energy(t, State(position, state.director), chain)
+            return self.energy(t, State(position, state.director, state.normal), chain)
 
         return Load(force=-jax.grad(energy)(state.position))
 

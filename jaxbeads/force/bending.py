@@ -10,7 +10,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._checks import along, kind, shape
+from .._checks import kind, shape
+from .._functions import along
 from .._typing import float_array
 from ..chain import Chain
 from ..geometry import tangents, turning_angles
@@ -20,12 +21,13 @@ from .curvature import (
     AbstractCurvatureLaw,
     CrossProductCurvature,
     Curvature,
+    along_normals,
     check_bending,
     curvature_at_rest,
-    end_to_end,
     moments,
     oriented,
     rest_at,
+    stiffest,
 )
 
 _DEFAULT_LAW = CrossProductCurvature()
@@ -36,18 +38,27 @@ def _joint_length(chain: Chain) -> Float[Array, " joints"]:
     return 0.5 * (bond[1:] + bond[:-1])
 
 
-def _rest(intrinsic: Curvature, t: Float[Array, ""], chain: Chain) -> Array:
-    if isinstance(intrinsic, jax.Array):  # no time, no arclength
-        return intrinsic if intrinsic.ndim else jnp.broadcast_to(intrinsic, (chain.beads - 2,))
+def _rest(name: str, intrinsic: Curvature, t: Float[Array, ""], chain: Chain, dim: int) -> Array:
     fibre = chain.fibre_of_bead[1:-1]
-    return rest_at(intrinsic, t, chain.arclength[1:-1], chain.length[fibre])
+    if isinstance(intrinsic, jax.Array):  # no time, no arclength
+        return intrinsic if intrinsic.ndim else jnp.broadcast_to(intrinsic, fibre.shape)
+    return rest_at(name, intrinsic, t, chain.arclength[1:-1], chain.length[fibre], dim)
+
+
+def _framed(intrinsic: Curvature, chain: Chain) -> bool:
+    if chain.beads < 3:
+        return False
+    fibre = chain.fibre_of_bead[1:-1]
+    return along_normals(intrinsic, chain.arclength[1:-1], chain.length[fibre])
 
 
 def _bending_step(rigidity: Array, chain: Chain, viscosity: Float[Array, ""]) -> Float[Array, ""]:
-    """mu l^4 / K_b, l = 2 (a + eps_g), eq. (39)."""
-    stiffest = jnp.max(rigidity)
-    step = viscosity * (2 * jnp.min(chain.radius + chain.gap)) ** 4
-    return jnp.where(stiffest == 0, jnp.inf, step / jnp.where(stiffest == 0, 1.0, stiffest))
+    """mu l^4 / K_b, l = 2 (a + eps_g), eq. (39); infinite without a joint."""
+    most = stiffest(rigidity, chain.joint_mask)
+    square = (2 * jnp.min(chain.radius + chain.gap)) ** 2
+    # Not l^4, which single precision may not hold.
+    step = viscosity * square / jnp.where(most == 0, 1.0, most) * square
+    return jnp.where(most == 0, jnp.inf, step)
 
 
 def _torques(moments: Float[Array, "joints spins"], chain: Chain) -> Float[Array, "beads spins"]:
@@ -82,6 +93,7 @@ class Bending(AbstractForce):
     """
 
     rotational: ClassVar[bool] = True
+    smooth: ClassVar[bool] = True
     rigidity: Array
     intrinsic_curvature: Curvature
     law: AbstractCurvatureLaw
@@ -104,9 +116,10 @@ class Bending(AbstractForce):
         self, t: Float[Array, ""], state: State, chain: Chain
     ) -> Float[Array, "joints spins"]:
         """Moment m_i at each inner bead [force length]; zero where fibres end."""
-        e = tangents(state.position)
-        axis = end_to_end(state.position, chain)[1:-1]
-        rest = oriented(_rest(self.intrinsic_curvature, t, chain), e[:-1], e[1:], axis)
+        e, dim = tangents(state.position), state.position.shape[1]
+        name = f"{type(self).__name__}.intrinsic_curvature"
+        rest = _rest(name, self.intrinsic_curvature, t, chain, dim)
+        rest = oriented(rest, e[:-1], e[1:], state, chain, chain.fibre_of_bead[1:-1])
         m = moments(self.rigidity, self.law, e[:-1], e[1:], _joint_length(chain), rest)
         return m * chain.joint_mask[:, None]
 
@@ -116,11 +129,16 @@ class Bending(AbstractForce):
             return Load()
         return Load(torque=_torques(self.moments(t, state, chain), chain))
 
+    def framed(self, chain: Chain) -> bool:
+        """Whether the curvature at rest is given along two normals."""
+        return _framed(self.intrinsic_curvature, chain)
+
     def check(self, chain: Chain, dim: int) -> None:
         """Shapes that fit the joints."""
         joints, name = max(chain.beads - 2, 0), type(self).__name__
         shape(f"{name}.rigidity", self.rigidity, (), (joints,))
-        along(f"{name}.intrinsic_curvature", self.intrinsic_curvature, joints, spatial=dim == 3)
+        dtype = chain.radius.dtype
+        along(f"{name}.intrinsic_curvature", self.intrinsic_curvature, joints, dim, dtype)
 
     def explicit_step(self, chain: Chain, viscosity: Float[Array, ""]) -> Float[Array, ""]:
         """The paper's step (39)."""
@@ -138,21 +156,28 @@ class DrivingMoment(AbstractForce):
     """
 
     rotational: ClassVar[bool] = True
+    smooth: ClassVar[bool] = True
     moment: Curvature
 
     def __init__(self, moment: Any) -> None:
         self.moment = curvature_at_rest(moment)
 
+    def framed(self, chain: Chain) -> bool:
+        """Whether the moment is given along two normals."""
+        return _framed(self.moment, chain)
+
     def check(self, chain: Chain, dim: int) -> None:
         """A shape that fits the joints."""
-        along("DrivingMoment.moment", self.moment, max(chain.beads - 2, 0), spatial=dim == 3)
+        joints, dtype = max(chain.beads - 2, 0), chain.radius.dtype
+        along("DrivingMoment.moment", self.moment, joints, dim, dtype)
 
     def load(self, t: Float[Array, ""], state: State, chain: Chain) -> Load:
         """Torques on the beads."""
         if chain.beads < 3:
             return Load()
-        e, axis = tangents(state.position), end_to_end(state.position, chain)[1:-1]
-        m = oriented(_rest(self.moment, t, chain), e[:-1], e[1:], axis)
+        e, fibre = tangents(state.position), chain.fibre_of_bead[1:-1]
+        m = _rest("DrivingMoment.moment", self.moment, t, chain, e.shape[1])
+        m = oriented(m, e[:-1], e[1:], state, chain, fibre)
         return Load(torque=_torques(-m * chain.joint_mask[:, None], chain))
 
 
@@ -166,6 +191,7 @@ class BendingEnergy(AbstractPotential):
     """
 
     rotational: ClassVar[bool] = False
+    smooth: ClassVar[bool] = True
     rigidity: Array
     intrinsic_curvature: Curvature
     law: AbstractCurvatureLaw
@@ -188,7 +214,9 @@ class BendingEnergy(AbstractPotential):
         """Bending energy [force length]."""
         e = tangents(state.position)
         cosine = jnp.sum(e[:-1] * e[1:], axis=-1)
-        rest = _rest(self.intrinsic_curvature, t, chain) * turning_angles(state.position)
+        name = f"{type(self).__name__}.intrinsic_curvature"
+        rest = _rest(name, self.intrinsic_curvature, t, chain, 2)
+        rest = rest * turning_angles(state.position)
         joint = self.rigidity * (self.law.energy(cosine) / _joint_length(chain) - rest)
         return jnp.sum(joint * chain.joint_mask)
 
@@ -196,7 +224,8 @@ class BendingEnergy(AbstractPotential):
         """Shapes that fit the joints."""
         joints, name = max(chain.beads - 2, 0), type(self).__name__
         shape(f"{name}.rigidity", self.rigidity, (), (joints,))
-        along(f"{name}.intrinsic_curvature", self.intrinsic_curvature, joints, spatial=False)
+        dtype = chain.radius.dtype
+        along(f"{name}.intrinsic_curvature", self.intrinsic_curvature, joints, 2, dtype)
 
     def explicit_step(self, chain: Chain, viscosity: Float[Array, ""]) -> Float[Array, ""]:
         """The paper's step (39)."""

@@ -4,7 +4,7 @@ from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from .._checks import non_negative, positive, shape
 from .._typing import float_array
@@ -29,6 +29,8 @@ class Contact(AbstractForce):
     """
 
     rotational: ClassVar[bool] = False
+    smooth: ClassVar[bool] = True
+    passes: ClassVar[bool] = True
     strength: Float[Array, ""] = eqx.field(converter=float_array)
     roughness: Float[Array, ""] = eqx.field(converter=float_array)
     decay: Float[Array, ""] = eqx.field(converter=float_array)
@@ -39,6 +41,38 @@ class Contact(AbstractForce):
         non_negative("strength", self.strength)
         positive("roughness", self.roughness)
         positive("decay", self.decay)
+
+    def passed(self, before: State, after: State, chain: Chain) -> Bool[Array, ""]:
+        """Whether two beads come closer on the way than at both ends, by more than half the roughness,
+        and repel each other there."""
+        index = jnp.arange(chain.beads)
+        beads = (
+            before.position,
+            after.position,
+            chain.radii,
+            index,
+            jnp.asarray(chain.fibre_of_bead),
+        )
+
+        def fields(to: tuple[Array, ...], of: tuple[Array, ...]) -> list[Array]:
+            start, end = separations(to[0], of[0]), separations(to[1], of[1])
+            radii, apart, other = (
+                x[:, None] + sign * y[None, :]
+                for x, y, sign in zip(to[2:], of[2:], (1, -1, -1), strict=True)
+            )
+            way = [b - a for a, b in zip(start, end, strict=True)]
+            length = sum(x * x for x in way)
+            part = -sum(x * a for x, a in zip(way, start, strict=True))
+            part = jnp.clip(part / jnp.where(length == 0, 1.0, length), 0.0, 1.0)
+            closest, first, last = (
+                jnp.sqrt(sum((a + s * x) ** 2 for a, x in zip(start, way, strict=True))) - radii
+                for s in (part, 0.0, 1.0)
+            )
+            missed = closest < jnp.minimum(first, last) - self.roughness / 2
+            skip = (jnp.abs(apart) <= 1) & (other == 0)
+            return [jnp.where(missed & (closest < self.roughness) & ~skip, 1.0, 0.0)]
+
+        return jnp.any(pair_sums(fields, beads)[0] > 0)
 
     def load(self, t: Float[Array, ""], state: State, chain: Chain) -> Load:
         """Forces on the beads; they sum to zero."""

@@ -11,9 +11,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._checks import fail, finite, non_negative
-from .._typing import float_array, leaf_function
+from .._functions import curvature_of, leaf_function
+from .._typing import float_array
 from ..chain import Chain
+from ..frames import axes, normals
 from ..geometry import cross, turned, unit
+from ..state import State
 
 Curvature = Array | Callable[[Array, Array, Array], Array]
 """Curvature at rest: numbers, or a function of time, arclength and length (`jaxbeads.actuation`)."""
@@ -83,14 +86,24 @@ def check_bending(rigidity: Array, intrinsic: Curvature, spatial: bool) -> None:
 
 
 def rest_at(
+    name: str,
     intrinsic: Curvature,
     t: Float[Array, ""],
     arclength: Float[Array, " joints"],
     length: Float[Array, " joints"],
+    dim: int,
 ) -> Array:
-    """Curvature at rest at one instant, `(joints,)`, `(joints, 2)` or `(joints, 3)`."""
-    value = intrinsic(t, arclength, length) if callable(intrinsic) else intrinsic
-    return value if value.ndim else jnp.broadcast_to(value, arclength.shape)
+    """Curvature at rest at one instant, `(joints,)`, in space also `(joints, 2)` or `(joints, 3)`; its
+    name, for what a function has wrong."""
+    if not isinstance(intrinsic, jax.Array):
+        return curvature_of(name, intrinsic, t, arclength, length, dim)
+    return intrinsic if intrinsic.ndim else jnp.broadcast_to(intrinsic, arclength.shape)
+
+
+def stiffest(rigidity: Array, mask: np.ndarray) -> Array:
+    """The largest rigidity (or stiffness) where `mask` has a joint (or bond); 0 if there is none."""
+    each = jnp.broadcast_to(rigidity, mask.shape)
+    return jnp.max(each, where=mask, initial=0.0)
 
 
 def moments(
@@ -112,23 +125,35 @@ def oriented(
     rest: Float[Array, " joints"] | Float[Array, "joints 2"] | Float[Array, "joints 3"],
     before: Float[Array, "joints dim"],
     after: Float[Array, "joints dim"],
-    axis: Float[Array, "joints dim"],
+    state: State,
+    chain: Chain,
+    fibre: np.ndarray,
 ) -> Float[Array, "joints spins"]:
-    """`rest` as vectors. In space one number acts along the present binormal, two along the normals that
-    belong to the fibre's end-to-end direction `axis`, three are a vector already."""
+    """`rest` as vectors. In space one number acts along the present binormal, two along the normals of
+    the joint's `fibre` (see `frames`), turned from its end-to-end direction to the joint's, three are
+    a vector already."""
     if rest.ndim < 2:
         sine = cross(before, after)
         return rest[:, None] * (unit(sine) if sine.shape[1] == 3 else jnp.ones_like(sine))
     if rest.shape[1] == 2:
-        x = jnp.broadcast_to(jnp.eye(3, dtype=axis.dtype)[0], axis.shape)
-        inner = turned(jnp.pad(rest, ((0, 0), (1, 0))), x, axis)
-        return turned(inner, axis, unit(before + after))
+        axis, normal = axes(state.position, chain), normals(state, chain)
+        first, second = normal[fibre], jnp.cross(axis, normal)[fibre]
+        inner = rest[:, :1] * first + rest[:, 1:] * second
+        return turned(inner, axis[fibre], unit(before + after))
     return rest
 
 
-def end_to_end(position: Float[Array, "beads dim"], chain: Chain) -> Float[Array, "beads dim"]:
-    """Direction of each bead's fibre, from its first bead to its last."""
-    last = np.cumsum(chain.fibres) - 1
-    first = last - np.array(chain.fibres) + 1
-    fibre = chain.fibre_of_bead
-    return unit(position[last[fibre]] - position[first[fibre]])
+def along_normals(
+    intrinsic: Curvature, arclength: Float[Array, " joints"], length: Float[Array, " joints"]
+) -> bool:
+    """Whether curvature at rest is given along two normals of the fibre."""
+    if isinstance(intrinsic, jax.Array):
+        size = intrinsic.shape
+    else:
+
+        def value(t: Array, s: Array, length: Array) -> Array:
+            return rest_at("intrinsic_curvature", intrinsic, t, s, length, 3)
+
+        time = jnp.zeros((), arclength.dtype)
+        size = jax.eval_shape(value, time, arclength, length).shape
+    return len(size) == 2 and size[1] == 2

@@ -4,9 +4,10 @@ from collections.abc import Callable
 from typing import ClassVar
 
 import equinox as eqx
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._typing import leaf_function
+from .._functions import leaf_function, trial, value_of
 from ..chain import Chain
 from ..state import Load, State
 from .base import AbstractForce, AbstractPotential
@@ -15,23 +16,48 @@ from .base import AbstractForce, AbstractPotential
 class ForceField(AbstractForce):
     """F = f(t, r) from a function of the time and all positions, `(beads, dim)`, that returns forces
     of the same shape. A function that is a pytree (an `equinox.Module`) keeps its parameters as
-    leaves; what a plain function closes over is constant."""
+    leaves; what a plain function closes over is constant. `links`: whether it keeps neighbours
+    together."""
 
     rotational: ClassVar[bool] = False
     function: Callable[[Array, Array], Array] = eqx.field(converter=leaf_function)
+    links: bool = eqx.field(static=True, default=False, kw_only=True)
+
+    def check(self, chain: Chain, dim: int) -> None:
+        """A force for each bead."""
+        _check(self, chain, dim)
 
     def load(self, t: Float[Array, ""], state: State, chain: Chain) -> Load:
         """The function's value as forces."""
-        return Load(force=self.function(t, state.position))
+        return Load(force=_value(self, t, state.position, state.position.shape))
 
 
 class Potential(AbstractPotential):
     """E = f(t, r) from a function of the time and all positions, `(beads, dim)`, that returns an
-    energy; the force is minus its gradient. Leaves as in `ForceField`."""
+    energy; the force is minus its gradient. Leaves and `links` as in `ForceField`."""
 
     rotational: ClassVar[bool] = False
     function: Callable[[Array, Array], Array] = eqx.field(converter=leaf_function)
+    links: bool = eqx.field(static=True, default=False, kw_only=True)
+
+    def check(self, chain: Chain, dim: int) -> None:
+        """One energy, with a gradient."""
+        _check(self, chain, dim)
 
     def energy(self, t: Float[Array, ""], state: State, chain: Chain) -> Float[Array, ""]:
         """The function's value."""
-        return self.function(t, state.position)
+        return _value(self, t, state.position, ())
+
+
+def _value(
+    field: ForceField | Potential, t: Array, position: Array, shape: tuple[int, ...]
+) -> Array:
+    name, given = f"{type(field).__name__}.function", f"a time and {len(position)} positions"
+    dtype = position.dtype
+    arguments = jnp.asarray(t, dtype), position
+    return value_of(name, given, field.function, *arguments, shapes=(shape,), dtype=dtype)
+
+
+def _check(field: ForceField | Potential, chain: Chain, dim: int) -> None:
+    t, r = (jnp.zeros(shape, chain.radius.dtype) for shape in ((), (chain.beads, dim)))
+    trial(lambda t, r: field.load(t, State(r), chain), t, r)

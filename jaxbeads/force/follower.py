@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._checks import finite, shape, whole
+from .._checks import fail, finite, shape, whole
 from .._typing import float_array
 from ..chain import Chain
 from ..geometry import tangents
@@ -23,10 +23,12 @@ class Follower(AbstractForce):
     - `force`: P [force].
     - `end`: -1 for the last bead, 0 for the first.
 
-    **Raises** `ValueError` for a force that is not one finite number and for other ends.
+    **Raises** `ValueError` for a force that is not one finite number and for other ends. A fibre of one
+    bead has no direction: `check` refuses it.
     """
 
     rotational: ClassVar[bool] = False
+    smooth: ClassVar[bool] = True
     force: Float[Array, ""] = eqx.field(converter=float_array)
     end: int = eqx.field(static=True, default=-1)
 
@@ -38,6 +40,13 @@ class Follower(AbstractForce):
             raise ValueError(
                 f"Argument `end` must be -1 (last bead) or 0 (first), but it is {self.end}."
             )
+
+    def check(self, chain: Chain, dim: int) -> None:
+        """A bond at that bead."""
+        if chain.fibres[self.end] < 2:
+            fibre, bead = self.end % len(chain.fibres), self.end % chain.beads
+            must = "be the end of a fibre of two beads or more, along whose last bond it pushes"
+            fail("Follower.end", must, f"bead {bead} is all of fibre {fibre}")
 
     def load(self, t: Float[Array, ""], state: State, chain: Chain) -> Load:
         """The force on that bead."""

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._checks import along, fail, kind, non_negative, positive, shape
+from .._checks import fail, kind, non_negative, positive, shape
+from .._functions import along
 from .._typing import float_array
 from ..chain import Chain
 from ..geometry import bonds, norm, unit
@@ -18,15 +19,21 @@ from .curvature import (
     AbstractCurvatureLaw,
     Curvature,
     SineRuleCurvature,
+    along_normals,
     check_bending,
     curvature_at_rest,
-    end_to_end,
     moments,
     oriented,
     rest_at,
+    stiffest,
 )
 
 _SINE_RULE = SineRuleCurvature()
+
+
+def _links(chain: Chain) -> tuple[Float[Array, " bonds"], Float[Array, " bonds"]]:
+    """Arclength of each joint, and the length of its fibre."""
+    return chain.arclength[:-1] + chain.reach[:-1], chain.length[chain.fibre_of_bead[:-1]]
 
 
 class JointRepulsion(eqx.Module):
@@ -79,6 +86,7 @@ class JointBending(AbstractForce):
     """
 
     rotational: ClassVar[bool] = True
+    smooth: ClassVar[bool] = True
     oriented: ClassVar[bool] = True
     rigidity: Array
     intrinsic_curvature: Curvature
@@ -110,15 +118,13 @@ class JointBending(AbstractForce):
         p = state.director
         if p is None:
             fail("state", "hold directors for JointBending", "it holds none")
-            raise AssertionError  # for the type checker: `fail` raises
         rest = self.intrinsic_curvature
         if isinstance(rest, jax.Array):
             rest = rest if rest.ndim else jnp.broadcast_to(rest, (len(p) - 1,))
         else:
-            link = chain.arclength[:-1] + chain.reach[:-1]
-            rest = rest_at(rest, t, link, chain.length[chain.fibre_of_bead[:-1]])
-        axis = end_to_end(state.position, chain)[:-1]
-        rest = oriented(rest, p[:-1], p[1:], axis)
+            name = "JointBending.intrinsic_curvature"
+            rest = rest_at(name, rest, t, *_links(chain), p.shape[1])
+        rest = oriented(rest, p[:-1], p[1:], state, chain, chain.fibre_of_bead[:-1])
         m = moments(self.rigidity, self.law, p[:-1], p[1:], chain.bond_length, rest)
         return m * chain.bond_mask[:, None]
 
@@ -131,12 +137,15 @@ class JointBending(AbstractForce):
         if self.repulsion is None:
             return Load(torque=torque)
         rigidity = jnp.broadcast_to(self.rigidity, m.shape[:1])
-        square = jnp.sum(m * m, axis=1)  # (K_b (kappa - kappa_0))^2
-        stiff = jnp.where(rigidity == 0, 1.0, rigidity)
+        # Not the square of K_b kappa, nor K_b E_b, which single precision may not hold.
+        bent = m / jnp.where(rigidity == 0, 1.0, rigidity)[:, None]
+        joint = rigidity * jnp.sum(bent * bent, axis=1)
         fibre = chain.fibre_of_bead
-        member = (fibre[:-1] == np.arange(len(chain.fibres))[:, None]) * 1.0
-        energy = member @ (square / stiff)
-        scale = jnp.sqrt(jnp.where(energy == 0, 1.0, jnp.max(rigidity) * energy / chain.length**3))
+        member = (fibre[:-1] == np.arange(len(chain.fibres))[:, None]) & chain.bond_mask
+        energy = member.astype(float) @ joint
+        most = jnp.max(rigidity[None, :], axis=1, where=member, initial=0.0)  # of each fibre
+        scale = most / chain.length**2 * (energy / chain.length)
+        scale = jnp.sqrt(jnp.where(energy == 0, 1.0, scale))
         scale = self.repulsion.viscous + self.repulsion.elastic * jnp.where(energy == 0, 0.0, scale)
         d = bonds(state.position)
         gap = norm(d) - chain.radii[:-1] - chain.radii[1:]
@@ -146,18 +155,21 @@ class JointBending(AbstractForce):
         force = jnp.pad(push, ((1, 0), (0, 0))) - jnp.pad(push, ((0, 1), (0, 0)))
         return Load(force, torque)
 
+    def framed(self, chain: Chain) -> bool:
+        """Whether the curvature at rest is given along two normals."""
+        return chain.beads > 1 and along_normals(self.intrinsic_curvature, *_links(chain))
+
     def check(self, chain: Chain, dim: int) -> None:
         """Shapes that fit the joints."""
         joints, name = max(chain.beads - 1, 0), type(self).__name__
         shape(f"{name}.rigidity", self.rigidity, (), (joints,))
-        along(f"{name}.intrinsic_curvature", self.intrinsic_curvature, joints, spatial=dim == 3)
+        dtype = chain.radius.dtype
+        along(f"{name}.intrinsic_curvature", self.intrinsic_curvature, joints, dim, dtype)
 
     def explicit_step(self, chain: Chain, viscosity: Float[Array, ""]) -> Float[Array, ""]:
         """A fifth of the paper's step (39), and as far below AB3's limit: a joint's moment turns single
         beads, whose fastest rate is about 4 (K_b / l) / (8 pi mu a^3)."""
-        stiffest = jnp.max(self.rigidity)
+        most = stiffest(self.rigidity, chain.bond_mask)
         radius = jnp.min(chain.radius)
-        step = viscosity * radius**3 * 2 * (radius + chain.gap)
-        return jnp.where(
-            stiffest == 0, jnp.inf, step / jnp.where(stiffest == 0, 1.0, stiffest) * 1.5
-        )
+        step = viscosity * radius**2 / jnp.where(most == 0, 1.0, most)
+        return jnp.where(most == 0, jnp.inf, step * radius * 3 * (radius + chain.gap))

@@ -13,6 +13,7 @@ from ..chain import Chain
 from ..geometry import bond_lengths
 from ..state import State
 from .base import AbstractPotential
+from .curvature import stiffest
 
 
 class Spring(AbstractPotential):
@@ -28,6 +29,8 @@ class Spring(AbstractPotential):
     """
 
     rotational: ClassVar[bool] = False
+    smooth: ClassVar[bool] = True
+    links: ClassVar[bool] = True
     stiffness: Array = eqx.field(converter=float_array)
 
     def __check_init__(self) -> None:
@@ -47,8 +50,6 @@ class Spring(AbstractPotential):
 
     def explicit_step(self, chain: Chain, viscosity: Float[Array, ""]) -> Float[Array, ""]:
         """6 pi mu a / (16 k_s): the fastest rate is 4 k_s / (6 pi mu a)."""
-        stiffest = jnp.max(self.stiffness)
+        most = stiffest(self.stiffness, chain.bond_mask)
         drag = 6 * np.pi * viscosity * jnp.min(chain.radius)
-        return jnp.where(
-            stiffest == 0, jnp.inf, drag / (16 * jnp.where(stiffest == 0, 1.0, stiffest))
-        )
+        return jnp.where(most == 0, jnp.inf, drag / (16 * jnp.where(most == 0, 1.0, most)))

@@ -24,6 +24,7 @@ class Weight(AbstractForce):
     """
 
     rotational: ClassVar[bool] = False
+    smooth: ClassVar[bool] = True
     force: Float[Array, " dim"] | Float[Array, "beads dim"] = eqx.field(converter=float_array)
 
     def __init__(self, force: Any) -> None:

@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Callable
-from typing import Protocol, runtime_checkable
+from typing import ClassVar, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -44,6 +44,9 @@ class AbstractMobility(eqx.Module):
 
     Qdot = M(Q) F + V_inf + C(Q) : E, eq. (13) of Delmotte, Climent & Plouraboué (2015).
     """
+
+    interacting: ClassVar[bool] = True
+    """Whether beads move one another, so that two of one size in one place move as one."""
 
     def is_dense(self, beads: int) -> bool:
         """Whether the multipliers of so many beads are found by a factorisation; otherwise `operator`

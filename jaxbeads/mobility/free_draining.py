@@ -1,6 +1,7 @@
 """Free draining: every bead feels its own Stokes drag only."""
 
 from collections.abc import Callable
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -55,6 +56,7 @@ class FreeDraining(AbstractMobility):
     **Argument**: `dense`: as for `RPY`; otherwise operations grow like the number of beads as well.
     """
 
+    interacting: ClassVar[bool] = False
     dense: bool | None = eqx.field(static=True, default=None)
 
     def is_dense(self, beads: int) -> bool:
@@ -70,9 +72,11 @@ class FreeDraining(AbstractMobility):
     ) -> _Drag:
         """Diagonal mobility."""
         a = radius if radius.ndim == 0 else radius[:, None]
-        translation, rotation = 6 * np.pi * viscosity * a, 8 * np.pi * viscosity * a**3
+        one = 1 / a  # first: in single precision a^3 is hardly there, its derivatives less
+        translation, rotation = one / (6 * np.pi), one * one * one / (8 * np.pi)
         drag = _Drag if self.is_dense(len(position)) else _FreeDrag
-        return drag(1 / translation, 1 / rotation, zero_motion(State(position), rotational))
+        still = zero_motion(State(position), rotational)
+        return drag(translation / viscosity, rotation / viscosity, still)
 
     def shear_disturbance(
         self,

@@ -14,8 +14,8 @@ from ..geometry import norm
 from ..numbers import rigidity_from_sperm_number
 from ..objectives import thrust
 from ..observables import rigid_resistance
-from ..rollout import Solution
 from ..scene import Scene
+from ..solution import Solution
 from ..state import State
 from .case import SAMPLES, Case, ReadyMade, Value, last_period, until_periodic
 

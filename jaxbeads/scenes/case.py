@@ -14,9 +14,9 @@ from jaxtyping import Array
 
 from ..chain import Chain, straight
 from ..dynamics import motion
-from ..rollout import Solution
 from ..scene import Scene
 from ..simulate import simulate
+from ..solution import Solution
 from ..solver import AB3
 from ..state import State
 

@@ -7,8 +7,8 @@ from ..chain import Chain, from_tangents
 from ..constraint import Gears, PrescribedPosition, clamped
 from ..force import Bending, Follower
 from ..mobility import RPY, AbstractMobility
-from ..rollout import Solution
 from ..scene import Scene
+from ..solution import Solution
 from ..state import State
 from .case import Case, ReadyMade, Value, lateral_modes
 
@@ -54,7 +54,7 @@ def follower_force(
     state = State(position - position[0])
     growth = abs(float(np.real(growth_rates(scene)[0])))
     unit = viscosity * length**4 / rigidity
-    span = min(3 * np.log(1 / perturbation) / max(growth, 1e-12), 3.0 * unit)
+    span = min(3 * np.log(1 / perturbation) / max(growth, 1e-12 / unit), 3.0 * unit)
     return Case(scene, state, np.linspace(0, span, 401))
 
 

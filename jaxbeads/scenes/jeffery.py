@@ -6,8 +6,8 @@ from .._checks import kind, positive, whole
 from ..flow import Shear
 from ..numbers import cox_aspect_ratio, jeffery_period
 from ..observables import orbit_period, orientation
-from ..rollout import Solution
 from ..scene import Scene
+from ..solution import Solution
 from .case import Case, ReadyMade, Value
 from .models import GEARS, AbstractModel, JointModel
 

@@ -11,8 +11,8 @@ from ..chain import Chain, straight
 from ..constraint import Gears
 from ..force import Bending, Contact
 from ..objectives import efficiency, swimming_speed
-from ..rollout import Solution
 from ..scene import Scene
+from ..solution import Solution
 from .case import (
     SAMPLES,
     Case,

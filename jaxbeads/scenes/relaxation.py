@@ -6,8 +6,8 @@ from .._checks import fail, positive, whole
 from ..chain import Chain, from_tangents
 from ..constraint import Gears
 from ..force import Bending
-from ..rollout import Solution
 from ..scene import Scene
+from ..solution import Solution
 from ..solver import explicit_step
 from ..state import State
 from .case import Case, ReadyMade, Value, lateral_modes

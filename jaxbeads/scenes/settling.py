@@ -10,8 +10,8 @@ from ..dynamics import applied_load
 from ..force import Weight
 from ..numbers import rigidity_from_elasto_gravitational_number
 from ..observables import deflection, friction_coefficient, rigid_resistance, tilt
-from ..rollout import Solution
 from ..scene import Scene
+from ..solution import Solution
 from ..solver import explicit_step
 from ..solver.stepping import substeps_for
 from .case import Case, ReadyMade, Value

@@ -6,8 +6,8 @@ from .._checks import finite, kind, positive, whole
 from ..flow import Shear
 from ..numbers import cox_aspect_ratio, jeffery_period, rigidity_from_bending_ratio
 from ..observables import minimal_radius_of_curvature
-from ..rollout import Solution
 from ..scene import Scene
+from ..solution import Solution
 from .case import Case, ReadyMade, Value
 from .models import GEARS, AbstractModel
 

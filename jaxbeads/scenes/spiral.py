@@ -10,8 +10,8 @@ from ..constraint import Gears
 from ..dynamics import motion
 from ..force import Bending
 from ..objectives import displacement, mean_over_time
-from ..rollout import Solution
 from ..scene import Scene
+from ..solution import Solution
 from ..state import Motion
 from .case import (
     SAMPLES,

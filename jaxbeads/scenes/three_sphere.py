@@ -9,8 +9,8 @@ from .._checks import fail, positive
 from .._typing import float_array
 from ..chain import Chain
 from ..constraint import PrescribedLengths
-from ..rollout import Solution
 from ..scene import Scene
+from ..solution import Solution
 from ..state import State
 from .case import SAMPLES, Case, ReadyMade, Value
 

@@ -100,6 +100,8 @@ class Rosenbrock(diffrax.AbstractAdaptiveSolver):
 
     term_structure: ClassVar = diffrax.AbstractTerm
     interpolation_cls: ClassVar[Callable[..., Any]] = _Interpolation
+    hopeless: ClassVar[Any] = diffrax.RESULTS.singular
+    """The result where the linearisation at the start of a step is not finite: none smaller mends it."""
 
     def order(self, terms: PyTree) -> int:
         """4."""
@@ -134,8 +136,15 @@ class Rosenbrock(diffrax.AbstractAdaptiveSolver):
             """(I - h W/4) u."""
             return u - h * _GAMMA * along(u)
 
-        matrix = jnp.eye(len(x0), dtype=x0.dtype) - h * _GAMMA * about.jacobian
-        solve = _factorised(implicit, matrix)
+        # In units of their own: the pivots of lengths and angles must not depend on the unit of length.
+        units = lax.stop_gradient(chart.units)
+        scaled = about.jacobian * ((h * _GAMMA / units)[:, None] * units[None, :])
+        matrix = jnp.eye(len(x0), dtype=x0.dtype) - scaled
+        solve_scaled = _factorised(lambda u: implicit(units * u) / units, matrix)
+
+        def solve(rhs: Array) -> Array:
+            return units * solve_scaled(rhs / units)
+
         drift = h * h * about.drift
 
         def stage(us: Array, row: tuple[Array, ...]) -> tuple[Array, None]:
@@ -154,7 +163,9 @@ class Rosenbrock(diffrax.AbstractAdaptiveSolver):
         error = jax.tree.map(lambda a, b: a - b, y1, other)
         bend = jnp.asarray(_DENSE, x0.dtype) @ us
         dense = {"coordinates": chart, "x1": x1, "bend": bend}
-        return y1, error, dense, None, diffrax.RESULTS.successful
+        finite = jnp.array([jnp.all(jnp.isfinite(part)) for part in about])
+        result = diffrax.RESULTS.where(jnp.all(finite), diffrax.RESULTS.successful, self.hopeless)
+        return y1, error, dense, None, result
 
     def func(self, terms: Any, t0: Any, y0: State, args: Scene) -> State:
         """The right-hand side."""

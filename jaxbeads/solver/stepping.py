@@ -14,12 +14,13 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ..coordinates import project
+from ..coordinates import project, tidied
 from ..dynamics import rate
 from ..geometry import norm
 from ..loops import checkpointed, loop
 from ..scene import Scene
 from ..state import State
+from .watch import watch
 
 Time = Any  # a scalar: `diffrax` hands out floats and arrays
 
@@ -48,7 +49,8 @@ class Carry(eqx.Module):
     """Attempted steps so far."""
     code: Int[Array, ""]
     """0: fine; 1: more than `max_steps` in one interval; 2: the solver gave up. (In a `Solution`, 3:
-    positions are not finite, or bonds are off their lengths by more than 1 %.)"""
+    positions are not finite, or bonds are off their lengths by more than 1 %; 5: prescribed places,
+    directions or lengths are off their laws by as much, as where a law jumps.)"""
     memory: Any
     """Of the solver and its controller."""
 
@@ -87,8 +89,7 @@ class FixedSteps(eqx.Module):
         y, _, _, memory, result = self.solver.step(
             _TERM, start, end, carry.state, scene, carry.memory, jump
         )
-        if self.projected:
-            y = project(scene, y)
+        y = project(scene, y) if self.projected else tidied(scene, y)
         failed = result != diffrax.RESULTS.successful
         return Carry(y, carry.steps + 1, jnp.where(failed, 2, carry.code), memory)
 
@@ -162,27 +163,48 @@ class AdaptiveSteps(eqx.Module):
         adaptive = _Adaptive(t0, end, state, memory, controller, jump, (t0, t0, dense))
         return Carry(state, jnp.zeros((), int), jnp.zeros((), int), adaptive)
 
-    def attempt(self, scene: Scene, code: Array, a: _Adaptive) -> tuple[Array, _Adaptive]:
+    def attempt(
+        self, scene: Scene, code: Array, a: _Adaptive, gap: Array
+    ) -> tuple[Array, _Adaptive]:
+        """One step, kept or not, where save times are `gap` apart."""
+        t0, wanted = a.previous, a.next - a.previous
+        watched = watch(scene, t0, a.state)
+        # A step ends where a law jumps, and the next begins on the other side.
+        t1, beyond = watched.end(*lax.stop_gradient((t0, a.next, gap)))
+        shortened = t1 < a.next
+        t1 = jnp.where(shortened, t1, a.next)
         y, error, dense, memory, result = self.solver.step(
-            _TERM, a.previous, a.next, a.state, scene, a.solver, a.jump
+            _TERM, t0, t1, a.state, scene, a.solver, a.jump
         )
         order: Any = self.solver.error_order(_TERM)
+        path = self.solver.interpolation_cls(t0=t0, t1=t1, **dense).evaluate
+        unseen = watched.unseen(t0, t1, path)
         # A step that fails or leaves the finite numbers is tried again with a smaller one.
         bad = (result != diffrax.RESULTS.successful) | ~jnp.all(jnp.isfinite(y.position))
+        bad = bad | watched.passed(t0, t1, y, path)
+        if unseen is not None:
+            bad = bad | ~jnp.isfinite(unseen)
+            error = _larger(error, unseen)
         error = jax.tree.map(lambda e: jnp.where(bad, jnp.inf, e), error)
         keep, start, end, jump, controller, verdict = self.controller.adapt_step_size(
-            a.previous, a.next, a.state, y, scene, error, order, a.controller
+            t0, t1, a.state, y, scene, error, order, a.controller
         )
-        if self.projected:
-            y = project(scene, y)
+        y = project(scene, y) if self.projected else tidied(scene, y)
         keep = jnp.asarray(keep)
+        # A step that was shortened says little about how long the next one may be.
+        following = jnp.maximum(end - start, jnp.where(keep & shortened, wanted, 0.0))
+        switched = keep & (beyond > t1)
+        start = jnp.where(switched, beyond, start)
+        end, jump = start + following, jnp.asarray(jump) | switched
 
         def pick(new: Any, old: Any) -> Any:
             return jax.tree.map(lambda n, o: jnp.where(keep, n, o), new, old)
 
-        dense = pick((a.previous, a.next, dense), a.dense)
+        dense = pick((t0, t1, dense), a.dense)
         # The step has shrunk until it no longer moves the time: nothing helps.
         stuck = (end <= start) | (verdict != diffrax.RESULTS.successful)
+        if (hopeless := getattr(self.solver, "hopeless", None)) is not None:
+            stuck = stuck | (result == hopeless)
         after = _Adaptive(
             start,
             end,
@@ -197,32 +219,41 @@ class AdaptiveSteps(eqx.Module):
     def interval(self, scene: Scene, carry: Carry, t0: Time, t1: Time, intervals: int = 1) -> Carry:
         """Carry at t1 from that at t0, one of so many intervals."""
         first = jnp.zeros((), int), carry.code, carry.memory
-        fixed = self, scene, jnp.asarray(t1)
+        fixed = self, scene, jnp.asarray(t0), jnp.asarray(t1)
         count, code, a = loop(_unfinished, _attempted, first, fixed, self.max_steps)
         start, end, info = a.dense
         inside = jnp.where(
             end > start, end, start + 1
         )  # before the first step there is no interval
         y = self.solver.interpolation_cls(t0=start, t1=inside, **info).evaluate(t1)
-        if self.projected:
-            y = project(scene, y)
+        y = project(scene, y) if self.projected else tidied(scene, y)
         y = jax.tree.map(lambda y: jnp.where(code == 0, y, jnp.nan), y)
         return Carry(y, carry.steps + count, code, a)
 
 
+def _larger(error: Any, by: Array) -> State:
+    """An error of a state that is larger by a length, whichever way it points."""
+    vectors = error.position
+    by, length = lax.stop_gradient(by), norm(vectors)[:, None]
+    still = length == 0
+    longer = vectors * (1 + by / jnp.where(still, 1.0, length))
+    longer = jnp.where(still, by / vectors.shape[1] ** 0.5, longer)
+    return State(longer, error.director, error.normal)
+
+
 _Turn = tuple[Array, Array, _Adaptive]
-_Fixed = tuple[AdaptiveSteps, Scene, Array]
+_Fixed = tuple[AdaptiveSteps, Scene, Array, Array]
 
 
 def _unfinished(turn: _Turn, fixed: _Fixed) -> Array:
     _, code, a = turn
-    return (a.previous < fixed[2]) & (code == 0)
+    return (a.previous < fixed[3]) & (code == 0)
 
 
 def _attempted(turn: _Turn, fixed: _Fixed) -> _Turn:
     count, code, a = turn
-    stepper, scene, t1 = fixed
-    code, a = stepper.attempt(scene, code, a)
+    stepper, scene, t0, t1 = fixed
+    code, a = stepper.attempt(scene, code, a, t1 - t0)
     many = (count + 1 >= stepper.max_steps) & (a.previous < t1)
     return count + 1, jnp.where(many, 1, code), a
 
@@ -238,6 +269,11 @@ def substeps_for(scene: Scene, ts: Any, step: float | None = None) -> int:
             "Argument `substeps` must be given, but it is None and the scene has no bending rigidity "
             "from which a time step would follow."
         )
-    steps = max(1, int(np.ceil(float(np.max(np.diff(ts))) / limit * (1 - 1e-9))))
+    gap, times = float(np.max(np.diff(ts))), 1.0 * np.asarray(ts)
+    # What rounding adds to a whole number of steps, of the times or of the step, is no step.
+    slack = 4 * float(np.spacing(np.max(np.abs(times)))) / gap + 10 * float(
+        jnp.finfo(times.dtype).eps
+    )
+    steps = max(1, int(np.ceil(gap / limit * (1 - max(1e-9, slack)))))
     block = int(np.sqrt(steps))  # a number that `FixedSteps` can cut into blocks
     return -(-steps // block) * block

@@ -22,9 +22,10 @@ class LargestError(eqx.Module):
     def __call__(self, error: State) -> Float[Array, ""]:
         """The largest."""
         worst = jnp.max(norm(error.position))
-        if error.director is None:
-            return worst
-        return jnp.maximum(worst, self.arm * jnp.max(norm(error.director)))
+        for turned in (error.director, error.normal):
+            if turned is not None:
+                worst = jnp.maximum(worst, self.arm * jnp.max(norm(turned)))
+        return worst
 
 
 def controller_for(tolerance: Float[Array, ""] | float, chain: Chain) -> diffrax.PIDController:

@@ -1,0 +1,178 @@
+"""`Solution`: a trajectory, and what it says of itself."""
+
+import dataclasses
+import zlib
+from collections.abc import Callable, Iterator
+from enum import IntEnum
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ._checks import known
+from ._typing import optional_float_array
+from .state import State
+
+CODES = {
+    1: "more than `max_steps` steps between two times",
+    2: "the solver gave up",
+    3: "positions are not finite, or bonds are off their lengths by more than 1 %",
+}
+"""What a `code` other than 0 means."""
+
+
+class Ending(IntEnum):
+    """How a run ended: a number for the trajectory's leaf, a word for people, and what it means.
+
+    The numbers are such that a sum or a difference of two is none of them: solutions may be subtracted.
+    """
+
+    word: str
+    meaning: str
+
+    def __new__(cls, number: int, word: str, meaning: str) -> "Ending":
+        one = int.__new__(cls, number)
+        one._value_, one.word, one.meaning = number, word, meaning
+        return one
+
+    FINISHED = 101, "finished", "All times are there."
+    STOPPED = 102, "stopped by `until`", "`until` was true of the solution up to its last time."
+    INTERRUPTED = 103, "interrupted", "Ctrl-C came before the last time."
+    UNFINISHED = 104, "unfinished", "The file holds a part of its times; `resume` continues it."
+    BROKEN_DOWN = 105, "broken down", "It ends with its last good state, or its `code` says why."
+
+
+_WORDS = {int(ending): ending.word for ending in Ending}
+
+
+def _small_number(value: Any) -> Array | None:
+    return None if value is None else jnp.asarray(value, jnp.int32)
+
+
+def solver_number(solver: diffrax.AbstractSolver) -> int:
+    """The number that stands for a solver's name in a `Solution`."""
+    return name_number(type(solver).__name__)
+
+
+def name_number(name: str) -> int:
+    """A number for a name, the same in every process."""
+    return zlib.crc32(name.encode()) & 0x7FFFFFFF
+
+
+def _solver_names(kind: type = diffrax.AbstractSolver) -> Iterator[str]:
+    for other in kind.__subclasses__():
+        yield other.__name__
+        yield from _solver_names(other)
+
+
+class Solution(eqx.Module):
+    """A trajectory.
+
+    - `ts`: times, `(times,)`; `states`: `State` with a leading axis of times.
+    - `steps`: attempted steps; `code`: 0 when all went well (see `solver.stepping.Carry`).
+    - `residual`: constraint residual at each time, see `dynamics.constraint_residual`;
+      `bond_length_error`: largest relative error of a bond at each time. The first is `None` from
+      `rollout`.
+    - `wall_s`, `compile_s`: seconds in all, and of them for compiling (`simulate` only; from a file that
+      was not closed, not a number).
+    - `status`: "finished", "stopped by `until`", "interrupted", "unfinished" or "broken down", see
+      `Ending`; `solver`: the name of the solver's class.
+
+    All of it is in leaves, also how a run ended (`ending`) and by which solver (`method`), as numbers:
+    solutions of one shape have one structure, however long they took and whatever became of them. Their
+    differences by `jax.tree.map` are solutions again, and a jitted function is traced for one of them.
+    """
+
+    ts: Float[Array, " times"]
+    states: State
+    steps: Int[Array, ""]
+    code: Int[Array, ""]
+    residual: Float[Array, " times"] | None = None
+    bond_length_error: Float[Array, " times"] | None = None
+    wall_s: Float[Array, ""] | None = eqx.field(converter=optional_float_array, default=None)
+    compile_s: Float[Array, ""] | None = eqx.field(converter=optional_float_array, default=None)
+    ending: Int[Array, ""] | None = eqx.field(converter=_small_number, default=None)
+    method: Int[Array, ""] | None = eqx.field(converter=_small_number, default=None)
+
+    @property
+    def final(self) -> State:
+        """State at the last time."""
+        return jax.tree.map(lambda x: x[-1], self.states)
+
+    @property
+    def status(self) -> str:
+        """How it ended, in words; "traced" under a transformation, where that is not known yet. Of many
+        runs, how many ended in which way. A host function."""
+        if not known((self.code, self.ending)):
+            return "traced"
+        ending = Ending.FINISHED if self.ending is None else self.ending
+        pairs = np.broadcast_arrays(np.asarray(self.code), np.asarray(ending))
+        words = [
+            Ending.BROKEN_DOWN.word if code != 0 else _WORDS.get(int(end), "unknown")
+            for code, end in zip(*map(np.ravel, pairs), strict=True)
+        ]
+        if len(set(words)) == 1:
+            return words[0]
+        return ", ".join(f"{words.count(word)} {word}" for word in dict.fromkeys(words))
+
+    @property
+    def solver(self) -> str | None:
+        """Name of the solver's class; `None` where it is not known, as while it is traced. A host
+        function."""
+        if self.method is None or not known(self.method):
+            return None
+        names = {name_number(name): name for name in _solver_names()}
+        found = [names.get(int(number)) for number in np.unique(np.asarray(self.method))]
+        return ", ".join(name or "?" for name in found) if any(found) else None
+
+    def summary(self) -> str:
+        """What was done, in a few lines. A host function, which under a transformation, where numbers
+        are not known yet, says so."""
+        *batch, times, beads, dim = self.states.position.shape
+        runs = f"{' x '.join(map(str, batch))} runs of " if batch else ""
+        what = f"{runs}{times} states of {beads} beads in {dim}-D"
+        shapes = ", ".join(f"{name} {shape}" for name, shape in _shapes(self.states))
+        if not known(self):
+            return f"{what}, whose numbers are traced\n{shapes}"
+        by = "" if self.solver is None else f" by {self.solver}"
+        first, last = (_text(self.ts[..., k], "g") for k in (0, -1))
+        steps = f"{_text(self.steps, '')} steps{by}"
+        lines = [f"{what}, t = {first} to {last}, {steps}, {self.status}", shapes]
+        if self.wall_s is not None and self.compile_s is not None:
+            wall, compiling = _text(self.wall_s, ".2f"), _text(self.compile_s, ".2f")
+            lines.append(f"wall time {wall} s, of which compiling {compiling} s")
+        errors = {
+            "constraint residual": self.residual,
+            "bond-length error": self.bond_length_error,
+        }
+        given = [f"{n} {_text(x, '.1e', np.max)}" for n, x in errors.items() if x is not None]
+        if given:
+            lines.append(", ".join(given))
+        codes = [int(c) for c in np.unique(np.asarray(self.code)) if c != 0]
+        lines += [f"code {c}: {CODES.get(c, 'not one of a run')}" for c in codes]
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        shape = getattr(getattr(self.states, "position", None), "shape", ())
+        if len(shape) < 3 or 0 in shape:
+            return eqx.tree_pformat(self)  # a tree of something else, as of axes
+        return "Solution: " + "\n  ".join(self.summary().splitlines())
+
+
+def _shapes(states: State) -> Iterator[tuple[str, tuple[int, ...]]]:
+    for field in dataclasses.fields(states):
+        value = getattr(states, field.name)
+        if value is not None:
+            yield field.name, np.shape(value)
+
+
+def _text(value: Any, form: str, of: Callable[[Any], Any] | None = None) -> str:
+    """A number, or the range of many."""
+    every = np.asarray(value)
+    low, high = (every.min(), every.max()) if of is None else (of(every), of(every))
+    one, other = (format(x.item(), form) for x in (low, high))
+    return one if one == other else f"{one} to {other}"

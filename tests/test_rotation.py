@@ -1,0 +1,360 @@
+"""Gate T18: what starts turned, shifted or mirrored moves turned, shifted or mirrored, whichever way it
+points: every force, flow, constraint, drive and scene in space."""
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import FLOWS, FORCES, bent, jointed, name
+from jax.tree_util import Partial
+
+from jaxbeads import Chain, Load, Scene, State, dynamics, frames, rollout, scenes, straight
+from jaxbeads.actuation import HelicalBeat, TravellingWave, TwoPlanes
+from jaxbeads.constraint import (
+    EqualSpins,
+    Gears,
+    Inextensible,
+    Joint,
+    PrescribedDirection,
+    PrescribedLengths,
+    PrescribedPosition,
+    PrescribedSpin,
+)
+from jaxbeads.flow import AbstractLinearFlow, LinearFlow, Poiseuille, VelocityField
+from jaxbeads.force import (
+    AbstractForce,
+    Bending,
+    Contact,
+    DrivingMoment,
+    ForceField,
+    JointBending,
+    JointRepulsion,
+    Potential,
+    Spring,
+    Weight,
+)
+
+
+def rotation(axis, angle):
+    axis = np.asarray(axis, float) / np.linalg.norm(axis)
+    k = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k
+
+
+TURNS = {
+    "any": rotation([1, 2, -3], 1.1),
+    "x to -x": rotation([0, 0, 1], np.pi),
+    "x nearly to -x": rotation([0, 0.6, 0.8], np.pi - 1e-7),
+    "x to z": rotation([0, 1, 0], -np.pi / 2),
+    "about x": rotation([1, 0, 0], 2.0),
+}
+MIRROR = np.diag([1.0, 1.0, -1.0])
+SHIFT = np.array([3.0, -40.0, 7.0])
+
+
+def turned_state(state, q, shift=SHIFT):
+    q = jnp.asarray(q)
+    others = (None if v is None else v @ q.T for v in (state.director, state.normal))
+    return State(state.position @ q.T + shift[None], *others)
+
+
+# Functions that hold what they turn and by how much as leaves, so that one program serves all turns.
+
+
+def _law(q, sign, law, t):
+    return sign * (q @ law(t))
+
+
+def _gradient(q, flow, t, x):
+    return q @ flow.gradient(t, 3) @ q.T @ (x - SHIFT)
+
+
+def _velocity(q, flow, t, x):
+    return q @ flow.velocity(t, q.T @ (x - SHIFT))
+
+
+def _force(q, force, t, r):
+    return force.function(t, (r - SHIFT[None]) @ q) @ q.T
+
+
+def _energy(q, force, t, r):
+    return force.function(t, (r - SHIFT[None]) @ q)
+
+
+def turned_law(law, q, sign=1.0):
+    return None if law is None else Partial(_law, jnp.asarray(q), sign, law)
+
+
+def turned_flow(flow, q):
+    if flow is None:
+        return None
+    linear = isinstance(flow, AbstractLinearFlow)  # with its origin where it was
+    return VelocityField(Partial(_gradient if linear else _velocity, jnp.asarray(q), flow))
+
+
+def turned_force(force, q):
+    q = jnp.asarray(q)
+    sign = jnp.sign(jnp.linalg.det(q))  # torques and curvatures are no true vectors
+    if isinstance(force, Weight):
+        return Weight(force.force @ q.T)
+    if isinstance(force, ForceField):
+        return ForceField(Partial(_force, q, force))
+    if isinstance(force, Potential):
+        return Potential(Partial(_energy, q, force))
+    if isinstance(force, Bending) and getattr(force.intrinsic_curvature, "ndim", 0) == 2:
+        return Bending(force.rigidity, sign * force.intrinsic_curvature @ q.T, force.law)
+    return force
+
+
+def turned_constraint(constraint, q):
+    sign = jnp.sign(jnp.linalg.det(q))
+    if isinstance(constraint, PrescribedSpin):
+        return PrescribedSpin(turned_law(constraint.law, q, sign), constraint.bead)
+    if isinstance(constraint, PrescribedPosition):
+        return PrescribedPosition(turned_law(constraint.law, q), constraint.bead)
+    if isinstance(constraint, PrescribedDirection):
+        return PrescribedDirection(turned_law(constraint.law, q), constraint.bond)
+    return constraint
+
+
+def turned_scene(scene, q):
+    return Scene(
+        scene.chain,
+        scene.viscosity,
+        scene.mobility,
+        [turned_constraint(c, q) for c in scene.constraints],
+        [turned_force(f, q) for f in scene.forces],
+        turned_flow(scene.flow, q),
+    )
+
+
+def in_space(term):
+    """A planar force or flow of the lists, in space."""
+    if isinstance(term, Weight):
+        return Weight([0.1, -0.4, 0.2])
+    if isinstance(term, LinearFlow):
+        return LinearFlow([[0.1, 0.5, 0.2], [-0.2, -0.3, 0.1], [0.3, 0.0, 0.2]])
+    return term
+
+
+CHAIN = Chain(1.0, 7)
+LAW = HelicalBeat(0.3, 1.7)
+WAVES = TwoPlanes(TravellingWave(0.2, 0.4, 1.5, 0.3), TravellingWave(0.1, 0.4, 1.5, 1.3))
+MODELS = {
+    f"force {index} {name(force)}": Scene(
+        CHAIN,
+        0.8,
+        constraints=[] if name(force) == "Spring" else [Gears()],
+        forces=[in_space(force)],
+    )
+    for index, force in enumerate(FORCES)
+}
+MODELS |= {
+    f"flow {name(flow)}": Scene(CHAIN, 0.8, constraints=[Gears()], flow=in_space(flow))
+    for flow in FLOWS
+}
+MODELS |= {
+    f"constraint {type(c).__name__}": Scene(
+        CHAIN, 0.8, constraints=[Gears(), c], forces=[Weight([0.1, -0.4, 0.2])]
+    )
+    for c in [
+        EqualSpins(),
+        PrescribedPosition(LAW, bead=2),
+        PrescribedSpin(LAW, bead=-1),
+        PrescribedDirection(LAW, bond=1),
+    ]
+}
+MODELS |= {
+    "distances": Scene(CHAIN, 0.8, constraints=[Inextensible()], forces=[Weight([0.1, -0.4, 0.2])]),
+    "lengths": Scene(
+        CHAIN,
+        0.8,
+        constraints=[PrescribedLengths(lambda t: 2 + 0.1 * jnp.sin(t + jnp.arange(6.0)))],
+    ),
+    "joints": Scene(
+        Chain(1.0, 7, gap=0.1),
+        0.8,
+        constraints=[Joint()],
+        forces=[JointBending(3.0, 0.02, repulsion=JointRepulsion(0.5, 0.5, 2.0, 0.5))],
+    ),
+    "bending along vectors": Scene(
+        CHAIN,
+        0.8,
+        constraints=[Gears()],
+        forces=[Bending(30.0, np.random.default_rng(1).normal(size=(5, 3)) / 20)],
+    ),
+    "waves in two planes": Scene(
+        CHAIN, 0.8, constraints=[Gears()], forces=[Bending(30.0, WAVES), DrivingMoment(WAVES)]
+    ),
+    "unequal beads and fibres": Scene(
+        Chain(np.linspace(0.7, 1.3, 7), (3, 4)),
+        0.8,
+        constraints=[Gears()],
+        forces=[Bending(30.0, WAVES), Contact(5.0, 2.5, 1.0)],
+    ),
+}
+
+
+def start(model):
+    chain = model.chain
+    if model.oriented:
+        return jointed(chain, 3)
+    if any(isinstance(force, Spring) for force in model.forces):
+        return State(1.1 * bent(chain, 3).position)
+    centre = 4.0 * np.arange(len(chain.fibres))[:, None] * np.array([[0.3, 0.2, 1.0]])
+    return bent(chain, 3, centre=centre)
+
+
+@pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
+def test_the_motion_turns_with_the_state(model):
+    state = model.begin(start(model))
+    still = jax.jit(lambda s: dynamics.rate(0.3, s, model))(state)
+    other = jax.jit(lambda q, s: dynamics.rate(0.3, turned_state(s, q), turned_scene(model, q)))
+    # Waves in two planes are left-handed in a mirror.
+    handed = any(force.framed(model.chain) for force in model.forces)
+    for turn, q in (TURNS if handed else TURNS | {"mirror": MIRROR}).items():
+        found = other(q, state)
+        for a, b in zip(jax.tree.leaves(still), jax.tree.leaves(found), strict=True):
+            assert np.abs(a @ q.T - b).max() < 1e-11 * np.abs(a).max(), turn
+
+
+def paths():
+    """Scenes that are run, and how: a drive in two planes, a joint's directors, a law and a flow."""
+    two, many = {"tolerance": 1e-4}, {"substeps": 100}
+    yield "waves in two planes", MODELS["waves in two planes"], two
+    yield "waves in two planes, equal steps", MODELS["waves in two planes"], many
+    yield "joints", MODELS["joints"], many
+    yield "law", MODELS["constraint PrescribedDirection"], two
+    yield "flow", Scene(CHAIN, 0.8, constraints=[Gears()], flow=Poiseuille(5.0, 9.0)), two
+
+
+@pytest.mark.parametrize("path", list(paths()), ids=lambda path: path[0])
+def test_trajectories_turn_with_their_start(path):
+    _, model, options = path
+    state, ts = model.begin(start(model)), np.linspace(0.0, 1.0, 3)
+    plain = jax.jit(lambda s: rollout(model, s, ts, **options).states)(state)
+    other = jax.jit(
+        lambda q, s: rollout(turned_scene(model, q), turned_state(s, q), ts, **options).states
+    )
+    assert np.abs(plain.position[-1] - plain.position[0]).max() > 0.003
+    for turn in ("any", "x nearly to -x"):
+        q = TURNS[turn]
+        found = other(q, state)
+        for a, b in zip(jax.tree.leaves(plain), jax.tree.leaves(found), strict=True):
+            moved = SHIFT if a is plain.position else 0.0
+            off = np.abs(np.asarray(a) @ q.T + moved - b).max()
+            assert off < 1e-9 * float(model.chain.length.max()), turn
+
+
+@pytest.mark.parametrize("build", [scenes.spiral, scenes.helical_beating], ids=lambda f: f.__name__)
+def test_ready_made_scenes_in_space_turn_with_their_start(build):
+    case = build(6)
+    model, ts = case.scene, np.linspace(0.0, 1.0, 3)
+    # The first start is bent, so that it has normals of its own.
+    state = model.begin(bent(model.chain, 3) if build is scenes.spiral else case.state)
+    q = TURNS["x nearly to -x"]
+    plain = rollout(model, state, ts, substeps=400).states
+    other = rollout(turned_scene(model, q), turned_state(state, q), ts, substeps=400).states
+    for a, b in zip(jax.tree.leaves(plain), jax.tree.leaves(other), strict=True):
+        moved = SHIFT if a is plain.position else 0.0
+        off = np.abs(np.asarray(a) @ q.T + moved - b).max()
+        assert off < 1e-9 * float(model.chain.length[0])
+
+
+def test_a_spiral_swims_alike_in_all_directions():
+    # From straight, without a normal of its own: also along -x and nearly so.
+    case = scenes.spiral(8, 15.0)
+    length = float(case.scene.chain.length[0])
+
+    @jax.jit
+    def swum(state):
+        run = rollout(case.scene, state, np.array([0.0, 1.0]), tolerance=1e-6)
+        return jnp.linalg.norm(jnp.mean(run.final.position - state.position, axis=0)), run.code
+
+    along = [(1, 0, 0), (0, 0, 1), (-0.99, 0.14, 0), (-1, 0, 0), (-1, 1e-9, 0), (0, -1, 1e-12)]
+    found = [swum(straight(case.scene.chain, np.array(d, float))) for d in along]
+    assert all(int(code) == 0 for _, code in found)
+    ways = np.array([float(way) for way, _ in found]) / length
+    assert ways[0] > 1e-4 and np.abs(ways - ways[0]).max() < 1e-9 * ways[0]
+
+
+def test_normals_turn_without_spin():
+    # A rod led once around a cone of 60 degrees comes back with its normal turned by the solid angle,
+    # 2 pi (1 - cos 60) = pi: parallel transport on the sphere.
+    def direction(t):
+        c, s = np.cos(np.pi / 3), np.sin(np.pi / 3)
+        return jnp.stack([c + 0 * t, s * jnp.cos(t), s * jnp.sin(t)])
+
+    chain = Chain(1.0, 4)
+    state = frames.framed(straight(chain, np.asarray(direction(0.0))), chain)
+
+    # By the rate alone, whatever moves the rod: each position is known.
+    def rate(t, normal):
+        beads = 2 * jnp.arange(4.0)[:, None]
+        place, velocity = jax.jvp(lambda t: beads * direction(t)[None], (t,), (1.0,))
+        return frames.normal_rate(State(place, None, normal), velocity, chain)
+
+    n, steps = state.normal, 2000
+    h = 2 * np.pi / steps
+
+    def step(n, k):
+        t = k * h
+        a = rate(t, n)
+        b = rate(t + h / 2, n + h / 2 * a)
+        c = rate(t + h / 2, n + h / 2 * b)
+        d = rate(t + h, n + h * c)
+        return n + h / 6 * (a + 2 * b + 2 * c + d), None
+
+    end, _ = jax.lax.scan(step, n, jnp.arange(steps * 1.0))
+    assert abs(float(jnp.sum(end * n)) - np.cos(np.pi)) < 1e-9
+    assert abs(float(jnp.linalg.norm(end)) - 1) < 1e-12
+
+
+def test_directors_of_other_terms_stay_unit_vectors():
+    # A user's force that reads directors, under Gears, with every solver.
+    class Push(AbstractForce):
+        oriented = True
+        rotational = True
+
+        def load(self, t, state, chain):
+            return Load(force=state.director, torque=0.3 * jnp.ones_like(state.director))
+
+    chain = Chain(1.0, 4)
+    model = Scene(chain, 1.0, constraints=[Gears()], forces=[Push(), Bending(5.0)])
+    state = State(bent(chain, 3).position, jnp.tile(jnp.array([[0.0, 0.6, 0.8]]), (4, 1)))
+    ts = np.linspace(0.0, 40.0, 3)
+    for options in ({}, {"substeps": 200}, {"solver": diffrax.Tsit5(), "tolerance": 1e-3}):
+        run = rollout(model, state, ts, **options)
+        lengths = np.linalg.norm(run.states.director, axis=-1)
+        assert np.abs(run.states.director[-1] - state.director).max() > 0.1
+        assert np.abs(lengths - 1).max() < 1e-14
+
+
+def test_spheres_feel_a_curved_flow_as_its_mean_over_their_surface():
+    # Faxen's laws against quadrature: a Stokes flow (a point force at a distance) and a parabola, beads
+    # of several radii; the spin is half the curl, the strain that of the mean over the surface.
+    force = jnp.array([0.3, -0.2, 0.5])
+
+    def stokeslet(t, x):
+        r = x - jnp.array([5.0, 1.0, -2.0])
+        d = jnp.linalg.norm(r)
+        return force / d + jnp.dot(force, r) * r / d**3
+
+    nodes, weights = np.polynomial.legendre.leggauss(12)
+    angles = 2 * np.pi * np.arange(24) / 24
+    s = np.sqrt(1 - nodes**2)
+    n = np.stack(
+        [np.outer(s, np.cos(angles)), np.outer(s, np.sin(angles)), np.outer(nodes, np.ones(24))], -1
+    ).reshape(-1, 3)
+    w = np.repeat(weights / 2, 24) / 24
+    for flow in (VelocityField(stokeslet), Poiseuille(1.3, 4.0)):
+        for radius in (0.5, 1.0):
+            centre = jnp.array([0.4, 0.9, -0.3])
+            model = Scene(Chain(radius, 1), 1.0, constraints=[PrescribedSpin()], flow=flow)
+            fluid = dynamics.carried(0.0, State(centre[None]), model)
+            u = np.stack([flow.velocity(jnp.zeros(()), centre + radius * x) for x in n])
+            mean = w @ u
+            turning = 1.5 / radius * w @ np.cross(n, u)
+            assert np.abs(fluid.velocity[0] - mean).max() < 1e-10
+            assert np.abs(fluid.spin[0] - turning).max() < 1e-10
