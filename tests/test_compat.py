@@ -1,6 +1,7 @@
 """What is private or experimental in the dependencies: in one place, there, and not indispensable."""
 
 import ast
+import functools
 import json
 import os
 import re
@@ -229,11 +230,10 @@ LOSSES = {
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    cache = {n: getattr(jax.config, n) for n in ("jax_compilation_cache_dir",)}
-    found = results(list(PARTS), tmp_path_factory.mktemp("whole"))
-    for name, value in cache.items():
-        jax.config.update(name, value)
-    return found
+    """Results of a part where all is there."""
+    folder, cache = tmp_path_factory.mktemp("whole"), jax.config.jax_compilation_cache_dir
+    yield functools.cache(lambda part: results([part], folder)[part])
+    jax.config.update("jax_compilation_cache_dir", cache)
 
 
 @pytest.mark.parametrize("loss", LOSSES)
@@ -246,7 +246,7 @@ def test_results_survive(loss, whole, tmp_path):
     found = json.loads(done.stdout.splitlines()[-1])
     assert set(found) == set(parts)
     for part in parts:
-        expected = whole[part]
+        expected = whole(part)
         if part == "watched":  # the last two: whether the time is known
             known = loss != "everything"
             assert found[part][1:] == [[float(known)], [float(not known)]]

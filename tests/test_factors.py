@@ -9,6 +9,7 @@ import pytest
 
 import jaxbeads as jb
 from jaxbeads import scenes
+from jaxbeads._compat import CALLS_OF_KNOWN_COST
 from jaxbeads.factors import at_once, cholesky, cholesky_solve, lu, triangular_solve
 from jaxbeads.loops import equal_parts
 
