@@ -158,8 +158,9 @@ def work():
         return jb.dynamics.rate(0.0, state, scene)
     return count("multiply", rate, state, scene)
 
-def without(vector, radii, viscosity):
-    return tensors._Scalars(*(x * viscosity for x in tensors._equal(tensors._separation(vector), radii)))
+def without(vector, radii, length, viscosity):
+    s, factors = tensors._separation(vector), tensors._factors(length)
+    return tensors._Scalars(*(x * viscosity for x in tensors._equal(s, factors)))
 
 found = {"quotients": work()}
 tensors._coefficients = without
