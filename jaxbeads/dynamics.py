@@ -123,7 +123,7 @@ def _instant_jvp(primals: Any, tangents: Any) -> tuple[Evaluation, Evaluation]:
     motion, slip = eqx.combine(eqx.filter_jvp(held, primals, tangents)[1], still)
     if system is None:
         return evaluation, Evaluation(motion, slip)
-    change = system.multipliers(slip + system.constraints.slip(motion) - system.constraints.offset)
+    change = system.multipliers(slip + system.constraints.linear(motion))
     # Not by the operator, whose tables the backward pass would have to make again.
     pulled = _mobile(state, scene, system.constraints.pull(change))
     return evaluation, Evaluation(add_motions(motion, pulled), change)

@@ -139,7 +139,7 @@ def _drift(
     free, slip = jax.jvp(terms, (t,), (jnp.ones_like(t),))[1]
     if system is None or slip is None:
         return free
-    slip = slip + system.constraints.slip(free) - system.constraints.offset
+    slip = slip + system.constraints.linear(free)
     return add_motions(free, system.pulled(system.multipliers(slip)))
 
 
@@ -205,7 +205,7 @@ def _hold_columns(
 ) -> Motion:
     """Derivatives of the motion from those without a change of the multipliers."""
     j = system.constraints
-    slip = jax.vmap(lambda motion: j.slip(motion) - j.offset)
+    slip = jax.vmap(j.linear)
     turned = _columns(lambda s: slips(t, s, scene)(held), state, shifts)
     multipliers = jax.vmap(system.multipliers)(slip(moved) + turned)
 

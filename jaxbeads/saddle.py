@@ -48,23 +48,28 @@ class ConstraintMap(NamedTuple):
     """J as a pair of linear functions."""
 
     slip: Callable[[Motion], Array]  # J Qdot + B
+    linear: Callable[[Motion], Array]  # J Qdot, without a B that might drown it
     offset: Array  # B
     pull: Callable[[Array], Load]  # J^T lambda
 
     def compliance(self, operator: MobilityOperator, multipliers: Array) -> Array:
         """J M J^T lambda."""
-        return self.slip(operator.motion(self.pull(multipliers))) - self.offset
+        return self.linear(operator.motion(self.pull(multipliers)))
 
 
 def constraint_map(t: Time, state: State, scene: Scene) -> ConstraintMap:
     slip = slips(t, state, scene)
-    offset, transpose = jax.vjp(slip, zero_motion(state, scene.rotational))
+    still = zero_motion(state, scene.rotational)
+    offset, transpose = jax.vjp(slip, still)
+
+    def linear(motion: Motion) -> Array:
+        return jax.jvp(slip, (still,), (motion,))[1]
 
     def pull(multipliers: Array) -> Load:
         (pulled,) = transpose(multipliers)
         return Load(pulled.velocity, pulled.spin)
 
-    return ConstraintMap(slip, offset, pull)
+    return ConstraintMap(slip, linear, offset, pull)
 
 
 def matrix(t: Time, state: State, scene: Scene, operator: MobilityOperator) -> Array:
@@ -163,7 +168,7 @@ def _iterations(t: Time, state: State, scene: Scene, operator: MatrixFree) -> It
 
     def row(index: Array) -> Array:
         unit = jnp.zeros(rows, j.offset.dtype).at[index].set(1.0)
-        return j.slip(windows.motion(j.pull(unit), still)) - j.offset
+        return j.linear(windows.motion(j.pull(unit), still))
 
     whole = lax.map(row, jnp.asarray(others, int)) if len(others) else jnp.zeros((0, rows))
     coupling, factor = whole[:, first:last], whole[:, others]

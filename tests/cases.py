@@ -1,6 +1,9 @@
 """One list for each kind of thing: a new member is one entry here and then meets every contract."""
 
+import dataclasses
+
 import diffrax
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -130,3 +133,74 @@ def scene(chain: Chain, dim: int = 2, flow=True, **options) -> Scene:
 def spatial(state: State) -> State:
     """A planar state in three dimensions."""
     return State(jnp.pad(state.position, ((0, 0), (0, 1))))
+
+
+# Length, time and force in the dimension of every number; a class whose numbers are not here is refused.
+NUMBER, LENGTH, TIME, FORCE = (0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)
+RATE, CURVATURE, VELOCITY, MOMENT = (0, -1, 0), (-1, 0, 0), (1, -1, 0), (1, 0, 1)
+_BENDING = {"rigidity": (2, 0, 1), "intrinsic_curvature": CURVATURE}
+DIMENSIONS = {
+    "State": {"position": LENGTH, "director": NUMBER},
+    "Chain": {"radius": LENGTH, "gap": LENGTH},
+    "Scene": {"viscosity": (-2, 1, 1)},
+    "Weight": {"force": FORCE},
+    "Bending": _BENDING,
+    "BendingEnergy": _BENDING,
+    "JointBending": _BENDING,
+    "JointRepulsion": dict(viscous=FORCE, elastic=NUMBER, roughness=NUMBER, decay=NUMBER),
+    "DrivingMoment": {"moment": MOMENT},
+    "Spring": {"stiffness": (-1, 0, 1)},
+    "Contact": {"strength": FORCE, "roughness": LENGTH, "decay": LENGTH},
+    "Follower": {"force": FORCE},
+    "ForceField": {"function": FORCE},
+    "Potential": {"function": MOMENT},
+    "VelocityField": {"function": VELOCITY},
+    "Shear": {"rate": RATE},
+    "OscillatingShear": {"rate": RATE, "angular_frequency": RATE, "phase": NUMBER},
+    "Extension": {"rate": RATE},
+    "LinearFlow": {"matrix": RATE},
+    "Poiseuille": {"speed": VELOCITY, "half_width": LENGTH},
+    "PrescribedPosition": {"law": LENGTH},
+    "PrescribedSpin": {"law": RATE},
+    "PrescribedDirection": {"law": NUMBER},
+    "PrescribedLengths": {"law": LENGTH},
+}
+# What the functions among them are given.
+_GIVEN = {
+    "function": (TIME, LENGTH),
+    "law": (TIME,),
+    "intrinsic_curvature": (TIME, LENGTH, LENGTH),
+    "moment": (TIME, LENGTH, LENGTH),
+}
+
+
+def in_units(thing, units):
+    """A scene, a state or a part of one in other units: the numbers of one length, time and force."""
+
+    def factor(dimension):
+        return float(np.prod(np.asarray(units, float) ** dimension))
+
+    def scaled(value, dimension, given):
+        if value is None:
+            return None
+        if not callable(value):
+            return value * factor(dimension)
+        return lambda *x: (
+            value(*(y / factor(d) for y, d in zip(x, given, strict=True))) * factor(dimension)
+        )
+
+    if isinstance(thing, tuple):
+        return tuple(in_units(x, units) for x in thing)
+    if not isinstance(thing, eqx.Module):
+        return thing
+    known = DIMENSIONS.get(type(thing).__name__, {})
+    changes = {}
+    for field in dataclasses.fields(thing):
+        value = getattr(thing, field.name)
+        if field.name in known:
+            changes[field.name] = scaled(value, known[field.name], _GIVEN.get(field.name))
+        elif isinstance(value, (tuple, eqx.Module)):
+            changes[field.name] = in_units(value, units)
+        elif eqx.is_array(value):
+            raise KeyError(f"The dimension of {type(thing).__name__}.{field.name} is not known.")
+    return dataclasses.replace(thing, **changes) if changes else thing

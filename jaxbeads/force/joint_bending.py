@@ -39,7 +39,8 @@ def _links(chain: Chain) -> tuple[Float[Array, " bonds"], Float[Array, " bonds"]
 class JointRepulsion(eqx.Module):
     """Repulsion of neighbours in the Joint Model, eqs (43)-(45), which keeps bent chains from overlap.
 
-    Its scale is F_0 = C_1 F_v + C_2 sqrt(K_b E_b / L^3), with E_b = sum of K_b (kappa - kappa_0)^2.
+    Its scale is F_0 = C_1 F_v + C_2 sqrt(K_b E_b / L^3), with E_b = sum of K_b (kappa - kappa_0)^2 a. The
+    print lacks the (smallest) radius a, without which F_0 would depend on the unit of length.
 
     **Arguments**
 
@@ -142,7 +143,7 @@ class JointBending(AbstractForce):
         joint = rigidity * jnp.sum(bent * bent, axis=1)
         fibre = chain.fibre_of_bead
         member = (fibre[:-1] == np.arange(len(chain.fibres))[:, None]) & chain.bond_mask
-        energy = member.astype(float) @ joint
+        energy = jnp.min(chain.radius) * (member.astype(float) @ joint)
         most = jnp.max(rigidity[None, :], axis=1, where=member, initial=0.0)  # of each fibre
         scale = most / chain.length**2 * (energy / chain.length)
         scale = jnp.sqrt(jnp.where(energy == 0, 1.0, scale))
