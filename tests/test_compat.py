@@ -158,8 +158,18 @@ def work():
         return jb.dynamics.rate(0.0, state, scene)
     return count("multiply", rate, state, scene)
 
-def without(vector, radii, viscosity):
-    return tensors._Scalars(*(x * viscosity for x in tensors._equal(tensors._separation(vector), radii)))
+class Factor:
+    def __init__(self, value):
+        self.value = value
+
+    def __rtruediv__(self, numerator):
+        return numerator * self.value
+
+whole = tensors._coefficients
+
+def without(*arguments):
+    *others, viscosity = arguments
+    return whole(*others, Factor(viscosity))
 
 found = {"quotients": work()}
 tensors._coefficients = without
