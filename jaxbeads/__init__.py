@@ -28,8 +28,8 @@ from .chain import from_directors as from_directors
 from .chain import from_tangents as from_tangents
 from .chain import straight as straight
 from .files import load as load
-from .optimise import Optimum as Optimum
 from .optimise import optimise as optimise
+from .optimum import Optimum as Optimum
 from .periodic import PeriodicState as PeriodicState
 from .periodic import periodic_state as periodic_state
 from .rollout import rollout as rollout

@@ -14,8 +14,9 @@ import numpy as np
 import optax
 from jaxtyping import Array, PyTree
 
-from ._checks import described, fail, finite, kind, known, positive, whole
+from ._checks import described, fail, finite, kind, positive, whole
 from ._typing import float_array
+from .optimum import INTERRUPTED, NO_FURTHER, NOT_FINITE, STEPS, VANISHES, ZERO, History, Optimum
 from .units import NOISE, Units, bounds_of, free, inside, own, reach, reached, shown, unbound
 
 _ROUND = 20  # steps between two corrections of the multipliers
@@ -23,53 +24,6 @@ _WEIGHT = 100.0  # of the square of the constraint in the first of them, in unit
 _OWN_WEIGHT = 10.0  # the same for an optimiser that is given
 _PROBES = 20  # trials of how far a start of zeros may go
 _ROWS = 32  # constraints whose units are found one by one
-
-
-class History(eqx.Module):
-    """What happened in each step: `loss`, `gradient_norm` (of the loss, or with a constraint of the
-    augmented Lagrangian, by the free values), `violation` (largest absolute value of the constraint),
-    `(steps,)` or `(steps, starts)`; `time` [s]. Free values of the default optimiser are parts of units.
-    """
-
-    loss: np.ndarray
-    gradient_norm: np.ndarray
-    violation: np.ndarray
-    time: np.ndarray
-
-
-_STEPS, _VANISHES, _NOT_FINITE, _INTERRUPTED, _NO_FURTHER, _ZERO = range(101, 107)
-_ENDINGS = {
-    _STEPS: "took all {} steps",
-    _VANISHES: "the gradient vanishes",
-    _NOT_FINITE: "stopped: the loss is not finite at step {}",
-    _INTERRUPTED: "interrupted",
-    _NO_FURTHER: "the loss falls no further",
-    _ZERO: "the gradient is zero at the start",
-}
-"""Why it ended. A sum or a difference of two of the numbers is none of them."""
-
-
-class Optimum(eqx.Module):
-    """The result of `optimise`.
-
-    - `values`, `loss`, `violation`: of the best step (with a constraint: the last); with `many`, a
-      leading axis of starts.
-    - `history`: see `History`; `status`: why it ended, which `ending` is a number for: two results of
-      one shape have one structure.
-    """
-
-    values: PyTree
-    loss: Array
-    violation: Array
-    history: History
-    ending: Array
-
-    @property
-    def status(self) -> str:
-        """Why it ended, in words; "traced" under a transformation. A host function."""
-        if not known((self.ending, self.history.loss)):
-            return "traced"
-        return _ENDINGS.get(int(self.ending), "unknown").format(len(self.history.loss))
 
 
 class _Terms(eqx.Module):
@@ -332,7 +286,7 @@ def optimise(
     best, least, before = walk.z, jnp.full(number, jnp.inf), np.zeros(number, bool)
     if file is not None and Path(file).exists():
         (walk, best, least), rows = _read(file, (walk, best, least))
-    ending, begun = _STEPS, time.perf_counter() - (rows[-1][3] if rows else 0.0)
+    ending, begun = STEPS, time.perf_counter() - (rows[-1][3] if rows else 0.0)
     from tqdm.auto import tqdm
 
     try:
@@ -341,7 +295,7 @@ def optimise(
                 at = run.slope(problem, walk.z, walk.terms)
                 value, norm, off, done = map(np.asarray, report(problem, walk, at))
                 if not np.all(np.isfinite(value)) and not many:
-                    ending = _NOT_FINITE
+                    ending = NOT_FINITE
                     break
                 rows.append([value, norm, off, np.asarray(time.perf_counter() - begun)])
                 better = (value < least) | constrained
@@ -359,13 +313,13 @@ def optimise(
                 bar.update()
                 bar.set_postfix(loss=f"{value.min():.4g}")
                 if not constrained and np.all(stuck | done) and not vanished:
-                    ending = _NO_FURTHER
+                    ending = NO_FURTHER
                     break
                 if vanished:
-                    ending = _VANISHES if len(rows) > 1 else _ZERO
+                    ending = VANISHES if len(rows) > 1 else ZERO
                     break
     except KeyboardInterrupt:
-        ending = _INTERRUPTED
+        ending = INTERRUPTED
     losses, norms, off, seconds = (np.array([row[k] for row in rows]) for k in range(4))
     last, c = run.both(problem, best, walk.terms.units)
     violation = jnp.max(jnp.abs(c), axis=-1, initial=0.0)

@@ -158,18 +158,9 @@ def work():
         return jb.dynamics.rate(0.0, state, scene)
     return count("multiply", rate, state, scene)
 
-class Factor:
-    def __init__(self, value):
-        self.value = value
-
-    def __rtruediv__(self, numerator):
-        return numerator * self.value
-
-whole = tensors._coefficients
-
-def without(*arguments):
-    *others, viscosity = arguments
-    return whole(*others, Factor(viscosity))
+def without(vector, radii, length, viscosity):
+    s, factors = tensors._separation(vector), tensors._factors(length)
+    return tensors._Scalars(*(x * viscosity for x in tensors._equal(s, factors)))
 
 found = {"quotients": work()}
 tensors._coefficients = without

@@ -17,7 +17,7 @@ ORDER = [
     {"_compat"},
     {"_typing", "_checks", "loops", "programs"},
     {"_functions"},
-    {"factors", "iterations", "units"},
+    {"factors", "iterations", "units", "optimum"},
     {"vary", "optimise", "chunks", "cache", "contents", "places"},
     {"state", "geometry"},
     {"pairs", "solution"},

@@ -1,0 +1,54 @@
+"""The result of `optimise`."""
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, PyTree
+
+from ._checks import known
+
+
+class History(eqx.Module):
+    """What happened in each step: `loss`, `gradient_norm` (of the loss, or with a constraint of the
+    augmented Lagrangian, by the free values), `violation` (largest absolute value of the constraint),
+    `(steps,)` or `(steps, starts)`; `time` [s]. Free values of the default optimiser are parts of units.
+    """
+
+    loss: np.ndarray
+    gradient_norm: np.ndarray
+    violation: np.ndarray
+    time: np.ndarray
+
+
+STEPS, VANISHES, NOT_FINITE, INTERRUPTED, NO_FURTHER, ZERO = range(101, 107)
+_ENDINGS = {
+    STEPS: "took all {} steps",
+    VANISHES: "the gradient vanishes",
+    NOT_FINITE: "stopped: the loss is not finite at step {}",
+    INTERRUPTED: "interrupted",
+    NO_FURTHER: "the loss falls no further",
+    ZERO: "the gradient is zero at the start",
+}
+"""Why it ended. A sum or a difference of two of the numbers is none of them."""
+
+
+class Optimum(eqx.Module):
+    """The result of `optimise`.
+
+    - `values`, `loss`, `violation`: of the best step (with a constraint: the last); with `many`, a
+      leading axis of starts.
+    - `history`: see `History`; `status`: why it ended, which `ending` is a number for: two results of
+      one shape have one structure.
+    """
+
+    values: PyTree
+    loss: Array
+    violation: Array
+    history: History
+    ending: Array
+
+    @property
+    def status(self) -> str:
+        """Why it ended, in words; "traced" under a transformation. A host function."""
+        if not known((self.ending, self.history.loss)):
+            return "traced"
+        return _ENDINGS.get(int(self.ending), "unknown").format(len(self.history.loss))
