@@ -163,8 +163,10 @@ def _run(ready: ReadyMade, arguments: argparse.Namespace) -> int:
     return _INTERRUPTED if interrupted else 0
 
 
-def _number(value: Any) -> float:
-    return float(np.asarray(value))
+def _number(value: Any) -> float | None:
+    """A number as JSON knows it; `None` for one that is not known."""
+    number = float(np.asarray(value))
+    return None if np.isnan(number) else number
 
 
 def main(words: list[str] | None = None) -> int:

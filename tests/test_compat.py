@@ -19,6 +19,7 @@ from survivors import PARTS, results
 
 import jaxbeads
 from jaxbeads import _compat, factors
+from jaxbeads.__main__ import _number
 from jaxbeads.loops import checkpointed, keep
 
 PACKAGE = Path(jaxbeads.__file__).parent
@@ -257,6 +258,10 @@ def test_results_survive(loss, whole, tmp_path):
         for ours, theirs in zip(found[part], expected, strict=True):
             assert np.all(np.isfinite(theirs)), part
             assert np.allclose(ours, theirs, rtol=1e-9, atol=1e-12), part
+
+
+def test_a_time_that_is_not_known_is_none_in_json():
+    assert [_number(x) for x in (jnp.nan, jnp.asarray(0.5))] == [None, 0.5]
 
 
 def test_version():
