@@ -308,7 +308,7 @@ def test_normals_turn_without_spin():
 
     end, _ = jax.lax.scan(step, n, jnp.arange(steps * 1.0))
     assert abs(float(jnp.sum(end * n)) - np.cos(np.pi)) < 1e-9
-    assert abs(float(jnp.linalg.norm(end)) - 1) < 1e-12
+    assert abs(float(jnp.linalg.norm(end)) - 1) < 1e-11  # of the Runge-Kutta steps here
 
 
 def test_directors_of_other_terms_stay_unit_vectors():
