@@ -32,8 +32,8 @@ _SINE_RULE = SineRuleCurvature()
 class JointRepulsion(eqx.Module):
     """Repulsion of neighbours in the Joint Model, eqs (43)-(45), which keeps bent chains from overlap.
 
-    Its scale is F_0 = C_1 F_v + C_2 sqrt(K_b E_b / L^3), with E_b = sum of K_b (kappa - kappa_0)^2 a. The
-    print lacks the (smallest) radius a, without which F_0 would depend on the unit of length.
+    Its scale is F_0 = C_1 F_v + C_2 sqrt(K_b E_b / L^3), with E_b = sum of K_b (kappa - kappa_0)^2 a.
+    The print lacks the (smallest) radius a, without which F_0 would depend on the unit of length.
 
     **Arguments**
 
