@@ -46,8 +46,13 @@ def not_finite(t: Time, state: State, scene: Scene) -> Fault | None:
             return Fault(type(force).__name__, "its load is not finite", *bead)
     if scene.flow is not None:
         name, beads = type(scene.flow).__name__, len(state.position)
-        if (bead := _first(carried(time, state, scene).velocity, beads)) is not None:
+        flow = scene.flow
+        plain = jax.vmap(lambda x: flow.velocity(time, x))(state.position)
+        if (bead := _first(plain, beads)) is not None:
             return Fault(name, "its velocity is not finite", *bead)
+        if (bead := _first(carried(time, state, scene).velocity, beads)) is not None:
+            how = "the gradient of its velocity, or the Laplacian that spheres feel, is not finite"
+            return Fault(name, how, *bead)
         if (bead := _first(ambient_motion(time, state, scene), beads)) is not None:
             return Fault(name, "the gradient of its velocity is not finite", *bead)
     still = zero_motion(state, scene.rotational)
