@@ -223,8 +223,8 @@ def test_gradient_of_a_trajectory(solver, dim):
     assert abs(difference - dot) < 1e-6 * abs(dot)
     if dim == 2:
         # And against forward mode: at a tolerance far above rounding, which else changes the steps.
-        forward = jax.jit(jax.jacfwd(lambda step: value(*moved(step), 1e-5)))(0.0)
-        assert abs(forward - reverse(1e-5)) < 1e-10 * abs(forward)
+        forward = jax.jit(jax.jacfwd(lambda step: value(*moved(step), 1e-4)))(0.0)
+        assert abs(forward - reverse(1e-4)) < 1e-10 * abs(forward)
 
 
 def test_one_trace_for_fifty_parameter_sets():

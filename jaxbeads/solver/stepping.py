@@ -159,7 +159,7 @@ class AdaptiveSteps(eqx.Module):
             lambda y: solver.step(_TERM, t0, end, y, scene, memory, jump)[2], state
         )
         dense = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shape)
-        controller = jax.tree.map(jnp.asarray, controller)
+        end, controller = lax.stop_gradient((end, jax.tree.map(jnp.asarray, controller)))
         adaptive = _Adaptive(t0, end, state, memory, controller, jump, (t0, t0, dense))
         return Carry(state, jnp.zeros((), int), jnp.zeros((), int), adaptive)
 
@@ -167,12 +167,14 @@ class AdaptiveSteps(eqx.Module):
         self, scene: Scene, code: Array, a: _Adaptive, gap: Array
     ) -> tuple[Array, _Adaptive]:
         """One step, kept or not, where save times are `gap` apart."""
-        t0, wanted = a.previous, a.next - a.previous
+        t0 = a.previous
         watched = watch(scene, t0, a.state)
-        # A step ends where a law jumps, and the next begins on the other side.
-        t1, beyond = watched.end(*lax.stop_gradient((t0, a.next, gap)))
-        shortened = t1 < a.next
-        t1 = jnp.where(shortened, t1, a.next)
+        t1, beyond, shortened = a.next, None, None
+        if not watched.idle:
+            # A step ends where a law jumps, and the next begins on the other side.
+            last, beyond = watched.end(*lax.stop_gradient((t0, a.next, gap)))
+            shortened = last < a.next
+            t1 = jnp.where(shortened, last, a.next)
         y, error, dense, memory, result = self.solver.step(
             _TERM, t0, t1, a.state, scene, a.solver, a.jump
         )
@@ -191,15 +193,20 @@ class AdaptiveSteps(eqx.Module):
         )
         y = project(scene, y) if self.projected else tidied(scene, y)
         keep = jnp.asarray(keep)
-        # A step that was shortened says little about how long the next one may be.
-        following = jnp.maximum(end - start, jnp.where(keep & shortened, wanted, 0.0))
-        switched = keep & (beyond > t1)
-        start = jnp.where(switched, beyond, start)
-        end, jump = start + following, jnp.asarray(jump) | switched
+        if beyond is not None and shortened is not None:
+            # A step that was shortened says little about how long the next one may be.
+            wanted = jnp.where(keep & shortened, a.next - t0, 0.0)
+            following = jnp.maximum(end - start, wanted)
+            switched = keep & (beyond > t1)
+            start = jnp.where(switched, beyond, start)
+            end, jump = start + following, jnp.asarray(jump) | switched
 
         def pick(new: Any, old: Any) -> Any:
             return jax.tree.map(lambda n, o: jnp.where(keep, n, o), new, old)
 
+        # Derivatives are those of the steps taken: their lengths come from differences not far above
+        # rounding, whose derivatives are noise.
+        start, end, controller = lax.stop_gradient((start, end, controller))
         dense = pick((t0, t1, dense), a.dense)
         # The step has shrunk until it no longer moves the time: nothing helps.
         stuck = (end <= start) | (verdict != diffrax.RESULTS.successful)

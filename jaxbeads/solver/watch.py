@@ -63,10 +63,15 @@ class Watch(NamedTuple):
     placed: Acting | None
     """What depends on the place as well, in ways that are not known to be smooth."""
 
+    @property
+    def idle(self) -> bool:
+        """Whether neither the time nor the place of a bead matters to any term in unknown ways."""
+        return self.timed is None and self.placed is None
+
     def end(self, t0: Array, t1: Array, gap: Array) -> tuple[Array, Array]:
         """The last instant before the terms switch, and one just after it; where they do not, t1 twice,
         or an earlier instant if a step to t1 could not be sampled well enough."""
-        if self.timed is None and self.placed is None:
+        if self.idle:
             return t1, t1
         t1 = jnp.minimum(t1, t0 + _SAMPLES / 2 * gap)
         decided = None if self.timed is None else self._decided(self.timed, t0.dtype)
@@ -113,7 +118,7 @@ class Watch(NamedTuple):
 
         **Arguments**: ends of the step; the states between them, as a function of the time.
         """
-        if self.timed is None and self.placed is None:
+        if self.idle:
             return None
         part = jnp.arange(_SAMPLES + 1, dtype=t0.dtype) / _SAMPLES
         # The last sample is the end itself: beyond it terms may have switched.
