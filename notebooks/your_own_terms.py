@@ -294,7 +294,9 @@ def carried(circulation):
 angle, slope = carried(number(30.0))
 nodes, weights = np.polynomial.legendre.leggauss(40)
 t = 0.5 * end * (nodes + 1)
-turned = 30.0 / (2 * np.pi * radius**2) * (-np.expm1(-(radius**2) / (4.0 + 2 * t)))
+core, s = 4.0 + 2 * t, radius**2 / (4.0 + 2 * t)
+# A sphere feels (1 + a^2/6 lap) u, and lap u is the slope of the vorticity.
+turned = 30.0 * (-np.expm1(-s) / (2 * np.pi * radius**2) - np.exp(-s) / (3 * np.pi * core**2))
 turned = 0.5 * end * np.sum(weights * turned)
 exact = (turned + np.pi) % (2 * np.pi) - np.pi
 checks.append(("angle in the vortex", angle, exact, 1e-8))
