@@ -18,7 +18,7 @@ from .constraint import AbstractConstraint, Joint
 from .flow import AbstractFlow
 from .force import AbstractForce, Bending, BendingEnergy, JointBending
 from .frames import framed
-from .geometry import norm, smallest_gap
+from .geometry import smallest_gap
 from .mobility import RPY, AbstractMobility
 from .state import State
 
@@ -145,11 +145,11 @@ def check(
     if state.director is not None and not scene.rotational:
         fail("state", "hold no directors", "no term of the scene turns beads")
     if state.director is not None and known(state.director):
-        off = np.abs(np.asarray(norm(state.director)) - 1)
+        lengths = np.linalg.norm(np.asarray(state.director), axis=-1)
+        off = np.abs(lengths - 1)
         if off.max() > _UNIT:
             must, bead = "hold unit vectors", int(np.argmax(off))
-            length = float(norm(state.director)[bead])
-            fail("state.director", must, f"that of bead {bead} has length {length:.3g}")
+            fail("state.director", must, f"that of bead {bead} has length {lengths[bead]:.3g}")
     fibres = len(chain.fibres)
     if state.normal is not None and state.normal.shape[0] != fibres:
         must = f"hold a normal for each of the {fibres} fibres"

@@ -159,7 +159,8 @@ class AdaptiveSteps(eqx.Module):
             lambda y: solver.step(_TERM, t0, end, y, scene, memory, jump)[2], state
         )
         dense = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shape)
-        end, controller = lax.stop_gradient((end, jax.tree.map(jnp.asarray, controller)))
+        end = lax.stop_gradient(t0 + _plain(end - t0))
+        controller = lax.stop_gradient(jax.tree.map(jnp.asarray, controller))
         adaptive = _Adaptive(t0, end, state, memory, controller, jump, (t0, t0, dense))
         return Carry(state, jnp.zeros((), int), jnp.zeros((), int), adaptive)
 
@@ -205,15 +206,15 @@ class AdaptiveSteps(eqx.Module):
             return jax.tree.map(lambda n, o: jnp.where(keep, n, o), new, old)
 
         # Derivatives are those of the steps taken: their lengths come from differences not far above
-        # rounding, whose derivatives are noise.
-        start, end, controller = lax.stop_gradient((start, end, controller))
+        # rounding, whose derivatives are noise. A step that is not kept begins again where it did.
+        start, end, controller = lax.stop_gradient((start, start + _plain(end - start), controller))
         dense = pick((t0, t1, dense), a.dense)
         # The step has shrunk until it no longer moves the time: nothing helps.
         stuck = (end <= start) | (verdict != diffrax.RESULTS.successful)
         if (hopeless := getattr(self.solver, "hopeless", None)) is not None:
             stuck = stuck | (result == hopeless)
         after = _Adaptive(
-            start,
+            jnp.where(keep, start, t0),
             end,
             pick(y, a.state),
             pick(memory, a.solver),
@@ -236,6 +237,14 @@ class AdaptiveSteps(eqx.Module):
         y = project(scene, y) if self.projected else tidied(scene, y)
         y = jax.tree.map(lambda y: jnp.where(code == 0, y, jnp.nan), y)
         return Carry(y, carry.steps + count, code, a)
+
+
+def _plain(step: Any) -> Array:
+    """A length of a step to twelve binary digits: two programs of one run, as those of its derivatives,
+    differ in rounding, but take the same steps."""
+    step = jnp.asarray(step)
+    exponent = jnp.finfo(step.dtype).nexp
+    return lax.reduce_precision(step, exponent_bits=exponent, mantissa_bits=12)
 
 
 def _larger(error: Any, by: Array) -> State:
