@@ -8,7 +8,6 @@ changed, and takes each away to see that the results stay. The rest of the packa
 - `Tracer`, `Literal`: classes for `isinstance`.
 - `named`: marks what `jax.checkpoint` shall keep by its name.
 - `custom_vmap`, `HAS_RULES`: functions with a rule of their own under `vmap`.
-- `while_loop`: a loop of unknown length with derivatives, `lax` (forward) or `checkpointed` (reverse).
 - `working_potrf`, `CALLS_OF_KNOWN_COST`: LAPACK's Cholesky factor without copies; whether it is
   known how jaxlib shares calls of LAPACK out to threads.
 - `over_devices`, `meet`: one program on several devices; processes wait for each other.
@@ -35,8 +34,6 @@ import numpy as np
 from jax import lax
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import PyTree
-
-from . import plain
 
 TRICKS = {
     "constraint/base.py": "a quotient is computed once, whoever reads it; hidden zeros are no padding",
@@ -132,32 +129,6 @@ def named(values: PyTree, name: str) -> PyTree:
         return values
     # Leaf by leaf: early versions take no trees.
     return jax.tree.map(lambda x: _checkpoint_name(x, name), values)
-
-
-_eqx_while_loop = _borrowed(
-    "equinox.internal",
-    "while_loop",
-    "loops of unknown length have derivatives in reverse with few checkpoints",
-    "a loop that takes every turn again from the checkpoint before it, about root(n)/2 times",
-)
-
-
-def while_loop(
-    unfinished: plain.Turn, body: plain.Turn, start: PyTree, fixed: PyTree, most: int, kind: str
-) -> PyTree:
-    """carry = body(carry, fixed), from `start`, while unfinished(carry, fixed), `most` times at most.
-
-    `kind`: `lax`, which has derivatives in forward mode, or `checkpointed`, in reverse.
-    """
-    if _eqx_while_loop is not None:
-        return _eqx_while_loop(
-            lambda carry: unfinished(carry, fixed),
-            lambda carry: body(carry, fixed),
-            start,
-            max_steps=most,
-            kind=kind,
-        )
-    return plain.while_loop(unfinished, body, start, fixed, most, kind)
 
 
 # --- Batches ---

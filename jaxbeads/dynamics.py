@@ -1,10 +1,7 @@
-"""The one place where mobility, constraints, forces and flow meet.
+"""What happens at one instant: motion, multipliers, loads, and what is wrong with the constraints.
 
-Solves, for one instant, the saddle-point system of Delmotte, Climent & Plouraboué (2015), eqs (5),
-(11)-(17): Qdot = M (F + J^T lambda) + V_inf + C:E with J Qdot + B = 0.
+The saddle-point system itself is in `instant`.
 """
-
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -12,68 +9,39 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .chain import Chain
 from .coincidence import coincidence
 from .constraint import AbstractConstraint
 from .factors import symmetric
-from .flow import AbstractFlow
-from .flow.base import spin_and_strain, velocity_and_gradient
-from .frames import normal_rate
-from .geometry import spin_cross
-from .loops import keep
-from .mobility import MatrixFree, MobilityOperator
-from .saddle import (
+from .instant import (
     Evaluation,
-    Time,
-    constraint_map,
-    matrix,
-    mobility_operator,
-    saddle_point,
-    slips,
+    ambient_motion,
+    applied_load,
+    carried,
+    evaluation,
+    free_motion,
+    rate,
+    solved,
 )
+from .mobility import MatrixFree
+from .saddle import Time, constraint_map, matrix, mobility_operator, saddle_point, slips
 from .scene import Scene, in_single
-from .state import Load, Motion, State, add_loads, add_motions, zero_motion
+from .state import Load, Motion, State, zero_motion
 
-
-def applied_load(t: Time, state: State, scene: Scene) -> Load:
-    """Sum of the forces' loads, without those of the constraints."""
-    return add_loads(*(force.load(jnp.asarray(t), state, scene.chain) for force in scene.forces))
-
-
-def _fluid(flow: AbstractFlow, t: Time, state: State, scene: Scene) -> tuple[Motion, Array]:
-    """Motion of the fluid, as the beads feel it, and its rate of strain."""
-    velocity, gradient = velocity_and_gradient(
-        flow, jnp.asarray(t), state.position, scene.chain.radius
-    )
-    spin, strain = spin_and_strain(gradient)
-    still = zero_motion(state, scene.rotational).spin
-    turned = None if still is None else jnp.broadcast_to(spin, still.shape)
-    return Motion(velocity, turned), strain
-
-
-def carried(t: Time, state: State, scene: Scene) -> Motion:
-    """V_inf, the motion of the fluid as the beads feel it."""
-    if scene.flow is None:
-        return zero_motion(state, scene.rotational)
-    return _fluid(scene.flow, t, state, scene)[0]
-
-
-def ambient_motion(t: Time, state: State, scene: Scene) -> Motion | None:
-    """V_inf + C : E, the motion of beads without load; `None` without a flow."""
-    if scene.flow is None:
-        return None
-    fluid, strain = _fluid(scene.flow, t, state, scene)
-    position, radius = state.position, scene.chain.radius
-    disturbance = scene.mobility.shear_disturbance(position, radius, strain, scene.rotational)
-    return fluid if disturbance is None else add_motions(fluid, disturbance)
-
-
-def free_motion(t: Time, state: State, scene: Scene, operator: MobilityOperator) -> Motion:
-    load, ambient = applied_load(t, state, scene), ambient_motion(t, state, scene)
-    if load.force is None and load.torque is None:
-        return zero_motion(state, scene.rotational) if ambient is None else ambient
-    free = operator.motion(load)
-    return free if ambient is None else add_motions(free, ambient)
+__all__ = [
+    "ambient_motion",
+    "applied_load",
+    "carried",
+    "constraint_load",
+    "constraint_matrix",
+    "constraint_residual",
+    "evaluate",
+    "free_motion",
+    "motion",
+    "multipliers",
+    "named",
+    "rate",
+    "redundancy",
+]
 
 
 def evaluate(t: Time, state: State, scene: Scene) -> Evaluation:
@@ -85,76 +53,7 @@ def evaluate(t: Time, state: State, scene: Scene) -> Evaluation:
     **Arguments**: time; `State`; `Scene`. **Returns** an `Evaluation`; its numbers are NaN if S is
     singular to rounding (redundant or contradictory constraints, see `redundancy`).
     """
-    return _evaluate(jnp.asarray(t), state, scene)
-
-
-@eqx.filter_jit
-def _evaluate(t: Time, state: State, scene: Scene) -> Evaluation:
-    return _instant(t, state, scene)
-
-
-@eqx.filter_custom_jvp
-def _instant(t: Time, state: State, scene: Scene) -> Evaluation:
-    return _free_and_held(t, state, scene)[1]
-
-
-@_instant.def_jvp
-def _instant_jvp(primals: Any, tangents: Any) -> tuple[Evaluation, Evaluation]:
-    """With multipliers and motion held, dQdot = d[M (F + J^T lambda) + V_inf + C:E] + M J^T dlambda and
-    J dQdot = -(dJ Qdot + dB): derivatives in either mode take the factor that there is."""
-    t, state, scene = primals
-    operator = mobility_operator(state, scene)
-    system = saddle_point(t, state, scene, operator) if scene.constraints else None
-    free = free_motion(t, state, scene, operator)
-    evaluation = Evaluation(free, _none(state)) if system is None else system.hold(free)
-    if system is not None:
-        solver, evaluation = keep((system.solver, evaluation))
-        system = system._replace(solver=solver)
-    moved, multipliers = evaluation
-
-    def held(t: Array, state: State, scene: Scene) -> tuple[Motion, Array]:
-        load = applied_load(t, state, scene)
-        if not scene.constraints:
-            return _pushed(t, state, scene, load), _none(state)
-        load = add_loads(load, constraint_map(t, state, scene).pull(multipliers))
-        return _pushed(t, state, scene, load), slips(t, state, scene)(moved)
-
-    still = zero_motion(state, scene.rotational), jnp.zeros_like(multipliers)
-    motion, slip = eqx.combine(eqx.filter_jvp(held, primals, tangents)[1], still)
-    if system is None:
-        return evaluation, Evaluation(motion, slip)
-    change = system.multipliers(slip + system.constraints.linear(motion))
-    # Not by the operator, whose tables the backward pass would have to make again.
-    pulled = _mobile(state, scene, system.constraints.pull(change))
-    return evaluation, Evaluation(add_motions(motion, pulled), change)
-
-
-def _none(state: State) -> Array:
-    return jnp.zeros((0,), state.position.dtype)
-
-
-def _pushed(t: Array, state: State, scene: Scene, load: Load) -> Motion:
-    """M F + V_inf + C:E, in a form to be differentiated."""
-    ambient = ambient_motion(t, state, scene)
-    if load.force is None and load.torque is None:
-        return zero_motion(state, scene.rotational) if ambient is None else ambient
-    motion = _mobile(state, scene, load)
-    return motion if ambient is None else add_motions(motion, ambient)
-
-
-def _mobile(state: State, scene: Scene, load: Load) -> Motion:
-    """M F, in a form to be differentiated."""
-    radius, viscosity = scene.chain.radius, scene.viscosity
-    return scene.mobility.motion(state.position, radius, viscosity, scene.rotational, load)
-
-
-def _free_and_held(t: Time, state: State, scene: Scene) -> tuple[Motion, Evaluation]:
-    """The motion without constraints, and with them."""
-    operator = mobility_operator(state, scene)
-    free = free_motion(t, state, scene, operator)
-    if not scene.constraints:
-        return free, Evaluation(free, _none(state))
-    return free, saddle_point(t, state, scene, operator).hold(free)
+    return evaluation(jnp.asarray(t), state, scene, None)
 
 
 def motion(t: Time, state: State, scene: Scene) -> Motion:
@@ -294,7 +193,8 @@ def constraint_residual(t: Time, state: State, scene: Scene) -> Float[Array, ""]
 
 @eqx.filter_jit
 def _residual(t: Time, state: State, scene: Scene) -> Array:
-    free, (moved, _) = _free_and_held(t, state, scene)
+    moved = solved(t, state, scene).evaluation.motion
+    free = free_motion(t, state, scene, mobility_operator(state, scene))
     radius = jnp.max(scene.chain.radius)
     both = jax.tree.leaves(((moved.velocity, free.velocity), (moved.spin, free.spin)))
     sizes = [jnp.max(jnp.abs(x)) for x in both]
@@ -308,20 +208,3 @@ def _residual(t: Time, state: State, scene: Scene) -> Array:
     ]
     slip = jnp.concatenate(rows)
     return jnp.linalg.norm(slip) / max(slip.shape[0], 1)
-
-
-def rate(t: Time, state: State, scene: Scene) -> State:
-    """Time derivative of the state: the right-hand side that the solvers integrate, eqs (38), (48)."""
-    return moving(motion(t, state, scene), state, scene.chain)
-
-
-def moving(moved: Motion, state: State, chain: Chain) -> State:
-    """Rate of change of the state in a motion."""
-    turning = normal_rate(state, moved.velocity, chain)
-    if state.director is None:
-        return State(moved.velocity, None, turning)
-    if moved.spin is None:
-        raise ValueError(
-            "Argument `state` must hold no directors, but no term of the scene turns beads."
-        )
-    return State(moved.velocity, spin_cross(moved.spin, state.director), turning)

@@ -11,8 +11,9 @@ import numpy as np
 from jaxtyping import Array
 
 from .constraint import AbstractConstraint
-from .dynamics import Time, ambient_motion, applied_load, carried, motion, named
+from .dynamics import motion, named
 from .force import AbstractForce
+from .instant import Time, ambient_motion, applied_load, carried
 from .scene import Scene
 from .state import Load, Motion, State, zero_motion
 

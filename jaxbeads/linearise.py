@@ -5,31 +5,32 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import lax
 from jaxtyping import Array, Float
 
 from ._checks import fail
 from .coordinates import Coordinates
-from .dynamics import (
+from .flow import AbstractFlow
+from .flow.base import spin_and_strain, velocity_and_gradient
+from .instant import (
+    Solved,
     applied_load,
     carried,
+    derivative,
+    evaluation,
     free_motion,
     moving,
     rate,
+    solved,
 )
-from .flow import AbstractFlow
-from .flow.base import spin_and_strain, velocity_and_gradient
 from .mobility import MatrixFree, MobilityOperator
 from .pairs import PairTensor
 from .programs import reached
 from .saddle import (
-    Factorised,
-    Iterations,
+    Evaluation,
     SaddlePoint,
     Time,
     constraint_map,
     mobility_operator,
-    saddle_point,
     slips,
 )
 from .scene import Scene
@@ -45,19 +46,43 @@ class Linearisation(NamedTuple):
     """df/dt."""
     jacobian: Float[Array, "numbers numbers"]
     """df/dx."""
+    known: Solved
+    """The instant itself."""
 
 
 def coordinate_rate(
-    t: Time, x: Float[Array, " numbers"], coordinates: Coordinates, scene: Scene
+    t: Time,
+    x: Float[Array, " numbers"],
+    coordinates: Coordinates,
+    scene: Scene,
+    known: Solved | None = None,
 ) -> Float[Array, " numbers"]:
-    """dx/dt = f(t, x)."""
+    """dx/dt = f(t, x); `known`: see `dynamics.rate`."""
     state = coordinates.state(x)
-    return coordinates.rate(x, state, rate(t, state, scene))
+    return coordinates.rate(x, state, rate(t, state, scene, known))
 
 
-def linearise(
-    t: Time, coordinates: Coordinates, scene: Scene, *, frozen: bool = False
-) -> Linearisation:
+def coordinate_derivative(
+    t: Time,
+    coordinates: Coordinates,
+    scene: Scene,
+    known: Solved,
+    along: tuple[Float[Array, ""], Float[Array, " numbers"]],
+) -> Float[Array, " numbers"]:
+    """df at x = 0 along a time and a change of x, in a form to be differentiated once more."""
+    (later, shift), x = along, coordinates.origin
+    state, change = jax.jvp(coordinates.state, (x,), (shift,))
+    found = evaluation(t, state, scene, known)
+    moving_on = derivative(t, state, scene, found, known.solver, (later, change))
+
+    def rate(x: Array, moved: Motion) -> Array:
+        state = coordinates.state(x)
+        return coordinates.rate(x, state, moving(moved, state, scene.chain))
+
+    return jax.jvp(rate, (x, found.motion), (shift, moving_on))[1]
+
+
+def linearise(t: Time, coordinates: Coordinates, scene: Scene) -> Linearisation:
     """The rate of the coordinates at x = 0 with its exact derivatives.
 
     The saddle-point system is differentiated, not its solution: with multipliers and motion held,
@@ -68,46 +93,44 @@ def linearise(
     is found for pairs (`AbstractMobility.gradient`): O(N^2) operations for each set of columns, and
     O(N^3) in matrix products only.
 
-    **Arguments**: time; coordinates about the state; scene; `frozen`: whether the Jacobian counts as a
-    constant where the result is differentiated (the derivatives of all its columns are dear).
-    **Returns** a `Linearisation`; NaN as for `dynamics.evaluate`.
+    **Arguments**: time; coordinates about the state; scene. **Returns** a `Linearisation`; NaN as for
+    `dynamics.evaluate`.
     """
     t, state = jnp.asarray(t), coordinates.start
     operator = mobility_operator(state, scene)
     if isinstance(operator, MatrixFree):
         must = "have a dense mobility for implicit solvers and steady states"
         fail("scene", must, "it has none: take `RPY(dense=True)`, or an explicit solver")
-    system = saddle_point(t, state, scene, operator) if scene.constraints else None
-    free = free_motion(t, state, scene, operator)
-    held, multipliers = (free, None) if system is None else system.hold(free)
+    known = solved(t, state, scene)
+    moved, solver = known.evaluation.motion, known.solver
+    system = None
+    if solver is not None:
+        system = SaddlePoint(operator, constraint_map(t, state, scene), solver)
 
     def still(motion: Motion) -> Array:
         return coordinates.rate(coordinates.origin, state, moving(motion, state, scene.chain))
 
-    later = _drift(t, state, scene, operator, system, held)
+    later = _drift(t, state, scene, operator, system, moved)
     drift = jnp.zeros_like(coordinates.origin) if later is None else still(later)
-    solver = None if system is None else system.solver
-    instant = t, coordinates, scene, operator, solver, held, multipliers
-    jacobian = _jacobian(*(lax.stop_gradient(instant) if frozen else instant))
-    return Linearisation(still(held), drift, jacobian)
+    jacobian = _jacobian(t, coordinates, scene, system, operator, known.evaluation)
+    return Linearisation(still(moved), drift, jacobian, known)
 
 
 def _jacobian(
     t: Array,
     coordinates: Coordinates,
     scene: Scene,
+    system: SaddlePoint | None,
     operator: MobilityOperator,
-    solver: Factorised | Iterations | None,
-    held: Motion,
-    multipliers: Array | None,
+    found: Evaluation,
 ) -> Float[Array, "numbers numbers"]:
     """df/dx from the solution of one instant."""
-    x, state = coordinates.origin, coordinates.start
+    x, state, held = coordinates.origin, coordinates.start, found.motion
     units = jnp.eye(len(x), dtype=x.dtype)
     shifts = _columns(coordinates.state, x, units)
+    multipliers = None if system is None else found.multipliers
     moved = _explicit_columns(t, state, shifts, scene, operator, multipliers)
-    if solver is not None:
-        system = SaddlePoint(operator, constraint_map(t, state, scene), solver)
+    if system is not None:
         moved = _hold_columns(t, state, shifts, scene, system, held, moved)
 
     def turned(at: tuple[Array, State]) -> Array:

@@ -13,14 +13,9 @@ from jaxtyping import Array, Float
 
 from ._checks import fail
 from .chain import Chain, straight
-from .dynamics import (
-    Time,
-    applied_load,
-    constraint_load,
-    constraint_residual,
-    motion,
-)
+from .dynamics import constraint_load, constraint_residual, motion
 from .geometry import bonds, cross, norm, tangents
+from .instant import Time, applied_load
 from .mobility import RPY, AbstractMobility
 from .scene import Scene
 from .state import Load, Motion, State, add_loads, spins

@@ -9,8 +9,8 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from ._checks import fail, known, positive, whole
-from .dynamics import Time
 from .geometry import normals
+from .instant import Time
 from .rollout import default_solver, rollout
 from .scene import Scene, check
 from .solver import Rosenbrock

@@ -16,6 +16,7 @@ from ._typing import float_array
 from .constraint import AbstractChainConstraint
 from .dynamics import constraint_residual
 from .force import AbstractForce
+from .loops import linked
 from .scene import Scene, check
 from .solution import Solution, solver_number
 from .solver import AB3, AdaptiveSteps, FixedSteps, Rosenbrock
@@ -254,7 +255,8 @@ def _trajectory(
     stepper: Stepper, scene: Scene, state: State, ts: Float[Array, " times"]
 ) -> Solution:
     """The core of `rollout`: one compiled program for all scenes of one shape."""
-    carry, states = advance(stepper, scene, stepper.init(scene, state, ts[0], ts[1]), ts)
+    carry = linked(stepper.init(scene, state, ts[0], ts[1]), (stepper, scene, state, ts))
+    carry, states = advance(stepper, scene, carry, ts)
     states = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), state, states)
     errors = bond_errors(scene, lax.stop_gradient(states))
     good = jnp.all(jnp.isfinite(states.position)) & (jnp.max(errors) <= _BOND_TOLERANCE)

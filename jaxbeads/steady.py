@@ -12,8 +12,8 @@ from jaxtyping import Array, Bool, Float
 
 from ._checks import known, positive, whole
 from .coordinates import Coordinates, coordinates
-from .dynamics import Time
 from .faults import REMEDY, not_finite, not_smooth
+from .instant import Time
 from .linearise import coordinate_rate, linearise
 from .scene import Scene, check
 from .state import State

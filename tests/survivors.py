@@ -51,25 +51,6 @@ def adaptive(folder):
     return run.final.position, run.steps
 
 
-def loops(folder):
-    """Loops of unknown length, side by side, with derivatives in reverse."""
-    from jaxbeads.loops import loop
-
-    def power(x, factor):
-        start = jnp.zeros(()), {"x": x, "none": None}, jnp.zeros((), int)
-
-        def body(carry, fixed):
-            total, held, turns = carry
-            return total + fixed[0], {"x": held["x"] * fixed[0], "none": None}, turns + 1
-
-        end = loop(lambda c, f: c[0] < 2.0, body, start, (factor, "a word"), 1000)
-        return jnp.sum(end[1]["x"] ** 2)
-
-    x, factors = jnp.array([1.0, 2.0]), jnp.array([0.01, 0.3, 0.9, 2.5])
-    alone = jax.jit(jax.grad(power, (0, 1)))(x, factors[1])
-    return alone, jax.jit(jax.vmap(jax.grad(power, (0, 1)), (None, 0)))(x, factors)
-
-
 def factors(folder):
     """Solutions by factors, of one matrix and of many."""
     from jaxbeads.factors import cholesky, cholesky_solve, inverse_of_triangle, lu, triangular_solve
@@ -124,7 +105,7 @@ def watched(folder):
     return run.states.position, run.compile_s > 0, np.isnan(run.compile_s)
 
 
-PARTS = {f.__name__: f for f in (fixed, adaptive, loops, factors, sweeps, watched)}
+PARTS = {f.__name__: f for f in (fixed, adaptive, factors, sweeps, watched)}
 
 
 def results(names, folder):

@@ -226,7 +226,6 @@ LOSSES = {
     "everything": (list(_compat.BORROWED), list(PARTS)),
     "LAPACK": (["jaxlib.lapack.prepare_lapack_call"], ["factors"]),
     "LAPACK is another": (["jaxlib.lapack.prepare_lapack_call=wrong"], ["factors"]),
-    "loops": (["equinox.internal.while_loop"], ["loops"]),
 }
 
 

@@ -92,7 +92,7 @@ def test_memory_of_the_backward_pass(monkeypatch):
         return program.memory_analysis().temp_size_in_bytes
 
     whole = program(1_000)
-    assert needed(whole) > 1_000 * 8**3  # factors of all steps
+    assert needed(whole) > 1_000 * 6**2 * 8  # factors of all steps: 6 rows of constraints
     monkeypatch.setattr(stepping, "MOST_KEPT", 0)
     jax.clear_caches()  # a rollout is traced once for a shape
     blocks, longer = program(1_000), program(10_000)

@@ -114,7 +114,7 @@ def test_linearisation_and_coordinates(example):
     x = chart.origin
     displaced = 0.3 * jnp.sin(jnp.arange(len(x)) + 0.5)
     found, brute, there, moved, rate = both(t, x, displaced)
-    for mine, reference in zip(found, brute, strict=True):
+    for mine, reference in zip(found[:3], brute, strict=True):
         assert np.abs(mine - reference).max() <= 1e-12 * max(1.0, np.abs(reference).max())
     assert np.abs(brute[2]).max() > 1e-3
     for mine, reference in zip(jax.tree.leaves(moved), jax.tree.leaves(rate), strict=True):

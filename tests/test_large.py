@@ -22,10 +22,10 @@ from jaxbeads.constraint import (
     clamped,
     hinged,
 )
-from jaxbeads.dynamics import free_motion
 from jaxbeads.force import BendingEnergy, Contact, JointBending, Weight
 from jaxbeads.force.base import repulsion
 from jaxbeads.geometry import smallest_gap
+from jaxbeads.instant import free_motion
 from jaxbeads.iterations import conjugate_gradients
 from jaxbeads.mobility import RPY, FreeDraining
 from jaxbeads.pairs import PAIRS, pair_sums

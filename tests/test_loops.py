@@ -52,3 +52,24 @@ def test_derivatives_in_both_modes():
 def test_second_derivatives_are_refused():
     with pytest.raises(RuntimeError, match="Second derivatives through adaptive steps"):
         jax.hessian(lambda x: jnp.sum(powers(x, jnp.asarray(0.3))[1] ** 2))(jnp.ones(2))
+
+
+@pytest.mark.parametrize("turns", [1, 64, 511, 512, 513, 1024, 1025, 3000, 4095, 4096])
+def test_derivatives_of_any_number_of_turns(turns):
+    # A logistic map, whose derivatives need every carry: beyond 512 turns not all of them are kept.
+    def body(carry, fixed):
+        return carry[0] + 1, fixed * carry[1] * (1 - carry[1])
+
+    def last(x, rate):
+        start = jnp.zeros((), int), x
+        return loop(lambda carry, _: carry[0] < turns, body, start, rate, 4096)[1]
+
+    # Where it neither settles nor runs apart: derivatives are of the size of one.
+    x, rate = jnp.asarray(0.3), jnp.asarray(3.0)
+    y, slopes = x, np.array([1.0, 0.0])
+    for _ in range(turns):
+        slopes = rate * (1 - 2 * y) * slopes + np.array([0.0, y * (1 - y)])
+        y = float(rate * y * (1 - y))
+    found = jax.jit(jax.grad(last, (0, 1)))(x, rate)
+    assert np.allclose(found, slopes, rtol=1e-10, atol=1e-300)
+    assert np.allclose(jax.jit(jax.jacfwd(last, (0, 1)))(x, rate), slopes, rtol=1e-10, atol=1e-300)

@@ -28,6 +28,7 @@ ORDER = [
     {"scene"},
     {"windows"},
     {"coordinates", "saddle"},
+    {"instant"},
     {"dynamics"},
     {"linearise", "observables", "faults"},
     {"solver", "steady"},

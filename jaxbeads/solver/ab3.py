@@ -30,8 +30,14 @@ class AB3(diffrax.AbstractSolver):
         """Two past derivatives, the number of steps done, and where the first two steps lead: they are
         taken here, because a branch in each step would be dear to differentiate."""
         h = t1 - t0
-        first = _runge_kutta(terms, t0, h, y0, args)
-        second = _runge_kutta(terms, t1, h, first, args)
+
+        def start(y: PyTree, t: Any) -> tuple[PyTree, PyTree]:
+            after = _runge_kutta(terms, t, h, y, args)
+            return after, after
+
+        # Loops of loops: the right-hand side is compiled once.
+        _, begun = lax.scan(start, y0, jnp.stack([jnp.asarray(t0), jnp.asarray(t1)]))
+        first, second = (jax.tree.map(lambda y, k=k: y[k], begun) for k in range(2))
         past = jax.tree.map(jnp.zeros_like, y0)
         return past, past, jnp.zeros((), jnp.int32), (first, second)
 
@@ -64,7 +70,7 @@ class AB3(diffrax.AbstractSolver):
 
 
 def _runge_kutta(terms: Any, t0: Any, h: Any, y0: PyTree, args: PyTree) -> PyTree:
-    """One classical step of order 4; a loop compiles the right-hand side once."""
+    """One classical step of order 4."""
 
     def stage(carry: PyTree, weights: Any) -> tuple[PyTree, None]:
         total, previous = carry

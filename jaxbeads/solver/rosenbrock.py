@@ -1,19 +1,21 @@
 """Linearly implicit steps for stiff scenes."""
 
 from collections.abc import Callable
-from functools import partial
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, PyTree
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from ..coordinates import Coordinates, coordinates
 from ..factors import lu, triangular_solve
-from ..linearise import coordinate_rate, linearise
+from ..instant import Solved, solved
+from ..linearise import coordinate_derivative, coordinate_rate, linearise
+from ..loops import keep
 from ..scene import Scene
 from ..state import State
 
@@ -127,44 +129,13 @@ class Rosenbrock(diffrax.AbstractAdaptiveSolver):
     ) -> tuple[State, State, dict, None, diffrax.RESULTS]:
         """One step from t0 to t1."""
         chart, h = coordinates(args, y0), t1 - t0
-        about, x0 = linearise(t0, chart, args, frozen=True), chart.origin
-
-        # Derivatives of a solution need those of W along the solution only.
-        _, along = jax.linearize(lambda x: coordinate_rate(t0, x, chart, args), x0)
-
-        def implicit(u: Array) -> Array:
-            """(I - h W/4) u."""
-            return u - h * _GAMMA * along(u)
-
-        # In units of their own: the pivots of lengths and angles must not depend on the unit of length.
-        units = lax.stop_gradient(chart.units)
-        scaled = about.jacobian * ((h * _GAMMA / units)[:, None] * units[None, :])
-        matrix = jnp.eye(len(x0), dtype=x0.dtype) - scaled
-        solve_scaled = _factorised(lambda u: implicit(units * u) / units, matrix)
-
-        def solve(rhs: Array) -> Array:
-            return units * solve_scaled(rhs / units)
-
-        drift = h * h * about.drift
-
-        def stage(us: Array, row: tuple[Array, ...]) -> tuple[Array, None]:
-            index, a, c, alpha, weight = row
-            f = coordinate_rate(t0 + alpha * h, a @ us, chart, args)
-            return us.at[index].set(solve(_GAMMA * (h * f + c @ us + weight * drift))), None
-
-        us = jnp.zeros((6, len(x0)), x0.dtype)
-        us = us.at[0].set(solve(_GAMMA * (h * about.rate + _DRIFT[0] * drift)))
-        # A loop, so that the rate is compiled once.
-        a, c = _square(_A), _square(_C)
-        rows = [jnp.asarray(row[1:], x0.dtype) for row in (a, c, _ALPHA, _DRIFT)]
-        us, _ = lax.scan(stage, us, (jnp.arange(1, 6), *rows))
-        x1 = jnp.asarray(a[5], x0.dtype) @ us + us[5]
+        us, finite = _stages(t0, h, chart, args)[:2]
+        x1 = jnp.asarray(_A[5], us.dtype) @ us[:5] + us[5]
         y1, other = chart.state(x1), chart.state(x1 - us[5])
         error = jax.tree.map(lambda a, b: a - b, y1, other)
-        bend = jnp.asarray(_DENSE, x0.dtype) @ us
+        bend = jnp.asarray(_DENSE, us.dtype) @ us
         dense = {"coordinates": chart, "x1": x1, "bend": bend}
-        finite = jnp.array([jnp.all(jnp.isfinite(part)) for part in about])
-        result = diffrax.RESULTS.where(jnp.all(finite), diffrax.RESULTS.successful, self.hopeless)
+        result = diffrax.RESULTS.where(finite, diffrax.RESULTS.successful, self.hopeless)
         return y1, error, dense, None, result
 
     def func(self, terms: Any, t0: Any, y0: State, args: Scene) -> State:
@@ -172,18 +143,119 @@ class Rosenbrock(diffrax.AbstractAdaptiveSolver):
         return terms.vf(t0, y0, args)
 
 
-def _factorised(product: Callable[[Array], Array], matrix: Array) -> Callable[[Array], Array]:
-    """Solutions of product(x) = rhs with one LU factor of the matrix, which derivatives reuse: they are
-    those of the product, which is taken only where something is differentiated."""
-    factor, order = lu(lax.stop_gradient(matrix))
-    back = jnp.argsort(order)
-    lower = partial(triangular_solve, factor, lower=True, unit=True)
-    upper = partial(triangular_solve, factor, lower=False)
+class _Factor(NamedTuple):
+    """I - h W/4 = D L U D^-1, rows in an order, with D of the coordinates' units."""
 
-    def solve(_: Callable[[Array], Array], rhs: Array) -> Array:
-        return upper(lower(rhs[order]))
+    matrix: Float[Array, "n n"]
+    order: Int[Array, " n"]
+    units: Float[Array, " n"]
 
-    def transpose_solve(_: Callable[[Array], Array], rhs: Array) -> Array:
-        return lower(upper(rhs, transposed=True), transposed=True)[back]
+    def solve(self, rhs: Array) -> Array:
+        """(I - h W/4)^-1 rhs."""
+        below = triangular_solve(self.matrix, (rhs / self.units)[self.order], lower=True, unit=True)
+        return self.units * triangular_solve(self.matrix, below, lower=False)
 
-    return lambda rhs: lax.custom_linear_solve(product, rhs, solve, transpose_solve)
+    def transpose_solve(self, rhs: Array) -> Array:
+        """(I - h W/4)^-T rhs."""
+        above = triangular_solve(self.matrix, rhs * self.units, lower=False, transposed=True)
+        found = triangular_solve(self.matrix, above, lower=True, unit=True, transposed=True)
+        return found[jnp.argsort(self.order)] / self.units
+
+
+class _Stages(NamedTuple):
+    """Of one step."""
+
+    us: Float[Array, "stages n"]
+    finite: Bool[Array, ""]
+    """Whether the linearisation is."""
+    factor: _Factor
+    instants: Solved
+    """The stages', stacked. Like the factor a constant to all derivatives."""
+
+
+def _rows(dtype: Any) -> tuple[Array, ...]:
+    """For each stage its number, and A, C, ALPHA, DRIFT."""
+    table = _square(_A), _square(_C), _ALPHA, _DRIFT
+    return (jnp.arange(6), *(jnp.asarray(row, dtype) for row in table))
+
+
+@eqx.filter_custom_jvp
+def _stages(t0: Array, h: Array, chart: Coordinates, scene: Scene) -> _Stages:
+    """The vectors u of a step from the origin of a chart."""
+    return _solved(t0, h, chart, scene)
+
+
+@eqx.filter_jit
+def _solved(t0: Array, h: Array, chart: Coordinates, scene: Scene) -> _Stages:
+    about, x0 = linearise(t0, chart, scene), chart.origin
+    # In units of their own: the pivots of lengths and angles must not depend on the unit of length.
+    units = chart.units
+    scaled = about.jacobian * ((h * _GAMMA / units)[:, None] * units[None, :])
+    matrix, order = lu(jnp.eye(len(x0), dtype=x0.dtype) - scaled)
+    factor = _Factor(matrix, order, units)
+    drift = h * h * about.drift
+
+    def stage(us: Array, row: tuple[Array, ...]) -> tuple[Array, Solved]:
+        index, a, c, alpha, weight = row
+        t, x = t0 + alpha * h, a @ us
+        known = solved(t, chart.state(x), scene)
+        f = coordinate_rate(t, x, chart, scene, known)
+        return us.at[index].set(factor.solve(_GAMMA * (h * f + c @ us + weight * drift))), known
+
+    us = jnp.zeros((6, len(x0)), x0.dtype)
+    us = us.at[0].set(factor.solve(_GAMMA * (h * about.rate + _DRIFT[0] * drift)))
+    # A loop, so that the rate is compiled once.
+    us, later = lax.scan(stage, us, jax.tree.map(lambda x: x[1:], _rows(x0.dtype)))
+    instants = jax.tree.map(lambda x, y: jnp.concatenate([x[None], y]), about.known, later)
+    finite = jnp.array([jnp.all(jnp.isfinite(part)) for part in about[:3]])
+    return _Stages(us, jnp.all(finite), factor, instants)
+
+
+@_stages.def_jvp
+def _stages_jvp(primals: Any, tangents: Any) -> tuple[_Stages, _Stages]:
+    """With G_i = f'(t0, x0) (h DRIFT_i, u_i), the derivative of f along a stage, dots for derivatives by
+    all that is given, and G_i* for that of G_i with u_i held:
+
+        (I - h GAMMA W) u_i* = GAMMA [h* (f_i + G_i) + h f_i* + sum C_ij u_j* + h G_i*].
+
+    So the Jacobian's columns are not differentiated, and the factor serves here too."""
+    t0, h, chart, scene = primals
+    found = keep(_stages(*primals))
+    us, x0, factor, instants = found.us, chart.origin, found.factor, found.instants
+    first = jax.tree.map(lambda x: x[0], instants)
+
+    def along(t0: Array, h: Array, chart: Coordinates, scene: Scene) -> Array:
+        """G, all stages."""
+        shifts = h * jnp.asarray(_DRIFT, x0.dtype), us
+        return jax.vmap(lambda s: coordinate_derivative(t0, chart, scene, first, s))(shifts)
+
+    def implicit(u: Array) -> Array:
+        """(I - h W/4) u."""
+        return u - h * _GAMMA * coordinate_derivative(t0, chart, scene, first, (0 * t0, u))
+
+    def solve(rhs: Array) -> Array:
+        return lax.custom_linear_solve(
+            implicit,
+            rhs,
+            lambda _, b: factor.solve(b),
+            lambda _, b: factor.transpose_solve(b),
+        )
+
+    g, g_moved = eqx.filter_jvp(along, primals, tangents)
+    longer = jnp.zeros_like(h) if tangents[1] is None else tangents[1]
+    fixed = longer * g + h * (jnp.zeros_like(g) if g_moved is None else g_moved)
+
+    def stage(moved: Array, row: Any) -> tuple[Array, None]:
+        (index, a, c, alpha, _), fixed, known = row
+
+        def rate(x: Array, t0: Array, h: Array, chart: Coordinates, scene: Scene) -> Array:
+            return coordinate_rate(t0 + alpha * h, x, chart, scene, known)
+
+        f, f_moved = eqx.filter_jvp(rate, (a @ us, *primals), (a @ moved, *tangents))
+        rhs = longer * f + h * f_moved + c @ moved + fixed
+        return moved.at[index].set(solve(_GAMMA * rhs)), None
+
+    moved, _ = lax.scan(stage, jnp.zeros_like(us), (_rows(x0.dtype), fixed, instants))
+    constant = jax.tree.map(lambda _: None, (factor, instants))
+    no: Any = None
+    return found, _Stages(moved, no, *constant)

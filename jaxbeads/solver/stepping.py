@@ -105,7 +105,10 @@ class FixedSteps(eqx.Module):
         x = carry.state.position
         few = intervals * self.substeps * x.size**2 * x.dtype.itemsize <= MOST_KEPT
 
-        @(checkpointed if few else jax.checkpoint)
+        if few:
+            return lax.scan(body, carry, jnp.arange(self.substeps))[0]
+
+        @jax.checkpoint
         def block(carry: Carry, indices: Array) -> tuple[Carry, None]:
             return lax.scan(body, carry, indices)
 
@@ -155,11 +158,10 @@ class AdaptiveSteps(eqx.Module):
         )
         memory = solver.init(_TERM, t0, end, state, scene)
         jump = jnp.zeros((), bool)
-        shape = eqx.filter_eval_shape(
-            lambda y: solver.step(_TERM, t0, end, y, scene, memory, jump)[2], state
-        )
+        # Traced once: the same call as that of every attempt.
+        shape = eqx.filter_eval_shape(_step, solver, t0, end, state, scene, memory, jump)[2]
         dense = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shape)
-        end = lax.stop_gradient(t0 + _plain(end - t0))
+        end = lax.stop_gradient(t0 + _plain(end - t0, t1 - t0))
         controller = lax.stop_gradient(jax.tree.map(jnp.asarray, controller))
         adaptive = _Adaptive(t0, end, state, memory, controller, jump, (t0, t0, dense))
         return Carry(state, jnp.zeros((), int), jnp.zeros((), int), adaptive)
@@ -176,8 +178,8 @@ class AdaptiveSteps(eqx.Module):
             last, beyond = watched.end(*lax.stop_gradient((t0, a.next, gap)))
             shortened = last < a.next
             t1 = jnp.where(shortened, last, a.next)
-        y, error, dense, memory, result = self.solver.step(
-            _TERM, t0, t1, a.state, scene, a.solver, a.jump
+        y, error, dense, memory, result = _step(
+            self.solver, t0, t1, a.state, scene, a.solver, a.jump
         )
         order: Any = self.solver.error_order(_TERM)
         path = self.solver.interpolation_cls(t0=t0, t1=t1, **dense).evaluate
@@ -207,7 +209,9 @@ class AdaptiveSteps(eqx.Module):
 
         # Derivatives are those of the steps taken: their lengths come from differences not far above
         # rounding, whose derivatives are noise. A step that is not kept begins again where it did.
-        start, end, controller = lax.stop_gradient((start, start + _plain(end - start), controller))
+        start, end, controller = lax.stop_gradient(
+            (start, start + _plain(end - start, gap), controller)
+        )
         dense = pick((t0, t1, dense), a.dense)
         # The step has shrunk until it no longer moves the time: nothing helps.
         stuck = (end <= start) | (verdict != diffrax.RESULTS.successful)
@@ -239,12 +243,21 @@ class AdaptiveSteps(eqx.Module):
         return Carry(y, carry.steps + count, code, a)
 
 
-def _plain(step: Any) -> Array:
-    """A length of a step to twelve binary digits: two programs of one run, as those of its derivatives,
-    differ in rounding, but take the same steps."""
-    step = jnp.asarray(step)
-    exponent = jnp.finfo(step.dtype).nexp
-    return lax.reduce_precision(step, exponent_bits=exponent, mantissa_bits=12)
+@eqx.filter_jit
+def _step(
+    solver: Any, t0: Array, t1: Array, state: State, scene: Scene, memory: Any, jump: Array
+) -> Any:
+    """A step of a solver, which JAX traces once for all that asks for it."""
+    return solver.step(_TERM, t0, t1, state, scene, memory, jump)
+
+
+def _plain(step: Any, gap: Any) -> Array:
+    """A length of a step whose ratio to the gap between save times has twelve binary digits: programs of
+    one run that differ in rounding, as those of its derivatives, or in other units, take the same
+    steps."""
+    ratio = jnp.asarray(step / gap)
+    exponent = jnp.finfo(ratio.dtype).nexp
+    return gap * lax.reduce_precision(ratio, exponent_bits=exponent, mantissa_bits=12)
 
 
 def _larger(error: Any, by: Array) -> State:
