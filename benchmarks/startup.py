@@ -1,10 +1,14 @@
-"""Seconds from nothing to `import jaxbeads` and to the first trajectory, each in a new process.
+"""Seconds from nothing to first results: import, programs, and the shell, each in a new process.
 
     python benchmarks/startup.py [--quick] [--json]
 
-The trajectory is the settling fibre (N = 34, B = 1000) for 1000 AB3 steps, compilation included: without
-a cache of compiled programs, and with `jaxbeads.enable_cache` and a folder that an earlier process
-filled. Medians of three processes (`--quick`: one).
+`import`, and the settling fibre (N = 34, B = 1000) for 1000 AB3 steps, compilation included: without a
+cache of compiled programs (`cold`), and with `jaxbeads.enable_cache` and a folder that an earlier
+process filled (`cached`). Then what JAX needs to make a program (to trace, to lower, to compile) of a
+Gears fibre of 34 beads with weight and bending, in the plane and in space: one evaluation, AB3, the
+default `rollout`, and gradients of a sum over its last state by all numbers of scene and start
+(`.equal`: ten equal steps of `Rosenbrock`). Last `python -m jaxbeads settling` to its numbers, without
+compiled programs and again with those of the first run. Medians of three processes (`--quick`: one).
 """
 
 import argparse
@@ -28,17 +32,54 @@ step = float(jb.solver.explicit_step(case.scene))
 run = jb.simulate(case.scene, case.state, np.arange(11) * 100 * step, substeps=100, progress=False)
 print(time.perf_counter() - t)
 """
+PROGRAM = """
+import sys, time
+import jax; jax.config.update("jax_enable_x64", True)
+import jax.numpy as jnp
+import numpy as np
+import jaxbeads as jb
+from jaxbeads.constraint import Gears
+from jaxbeads.dynamics import evaluate
+from jaxbeads.force import Bending, Weight
+which, dim = sys.argv[1], int(sys.argv[2])
+chain = jb.Chain(1.0, 34)
+forces = [Weight(-np.eye(dim)[1]), Bending(34 * 68.0**2 / 1000)]
+scene = jb.Scene(chain, 1.0, constraints=[Gears()], forces=forces)
+angle = 0.2 * np.sin(2 * np.pi * np.linspace(0, 1, 33))
+tangents = np.stack([np.cos(angle), np.sin(angle), 0.3 * angle], axis=1)[:, :dim]
+state = jb.State(jb.from_tangents(chain, tangents))
+options = {"AB3": {"substeps": 100}, "equal": {"solver": jb.Rosenbrock(), "substeps": 10}}
+def run(scene, state):
+    chosen = options.get(which.split(".")[-1], {})
+    return jb.rollout(scene, state, np.linspace(0, 100.0, 3), **chosen).final.position
+def value(scene, state):
+    return jnp.sum(run(scene, state) ** 2)
+program = {
+    "evaluation": lambda scene, state: evaluate(0.0, state, scene),
+    "gradient": jax.value_and_grad(value, argnums=(0, 1)),
+}.get(which.split(".")[0], run)
+start = time.perf_counter()
+jax.jit(program).trace(scene, state).lower().compile()
+print(time.perf_counter() - start)
+"""
+PROGRAMS = ("evaluation", "rollout.AB3", "rollout", "gradient.AB3", "gradient.equal", "gradient")
+SHELL = """
+import subprocess, sys, time; t = time.perf_counter()
+words = [sys.executable, "-m", "jaxbeads", "settling", *sys.argv[1:]]
+subprocess.run(words, check=True, capture_output=True)
+print(time.perf_counter() - t)
+"""
 
 
-def seconds(program: str, rounds: int, *arguments: str) -> float:
-    environment = {k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"}
+def seconds(program: str, rounds: int, *arguments: str, **environment: str) -> float:
+    mine = {k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"}
     runs = [
         subprocess.run(
             [sys.executable, "-c", program, *arguments],
             check=True,
             capture_output=True,
             text=True,
-            env=environment,
+            env=mine | environment,
         )
         for _ in range(rounds)
     ]
@@ -50,13 +91,24 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="one process each")
     parser.add_argument("--json", action="store_true", help="one JSON object as the last line")
     arguments = parser.parse_args()
-    rounds = 1 if arguments.quick else 3
-    results = {"import_s": seconds(IMPORT, rounds), "cold_s": seconds(FIRST, rounds)}
+    rounds, results = 1 if arguments.quick else 3, {}
+
+    def row(name: str, value: float) -> None:
+        results[name] = value
+        print(f"{name:<22}{value:6.2f} s", flush=True)
+
+    row("import_s", seconds(IMPORT, rounds))
+    row("cold_s", seconds(FIRST, rounds))
     with tempfile.TemporaryDirectory() as folder:
         seconds(FIRST, 1, folder)
-        results["cached_s"] = seconds(FIRST, rounds, folder)
-    for name, value in results.items():
-        print(f"{name:<10}{value:6.2f} s")
+        row("cached_s", seconds(FIRST, rounds, folder))
+    for dim, where in ((2, "plane"), (3, "space")):
+        for program in PROGRAMS:
+            row(f"{where}.{program}", seconds(PROGRAM, rounds, program, str(dim)))
+    row("shell", seconds(SHELL, rounds, "--no-cache"))
+    with tempfile.TemporaryDirectory() as folder:
+        seconds(SHELL, 1, XDG_CACHE_HOME=folder)
+        row("shell_again", seconds(SHELL, rounds, XDG_CACHE_HOME=folder))
     if arguments.json:
         print(json.dumps(results))
 

@@ -1,6 +1,7 @@
 """`python -m jaxbeads SCENE`: the ready-made scenes from the shell."""
 
 import argparse
+import contextlib
 import inspect
 import json
 import os
@@ -14,6 +15,7 @@ import jax
 import numpy as np
 
 from .breakdown import SimulationError
+from .cache import enable_cache
 from .observables import curvature
 from .scenes import MODELS, SCENES, AbstractModel, Case, ReadyMade, Value
 from .solution import Ending, Solution
@@ -48,6 +50,11 @@ def _parser() -> argparse.ArgumentParser:
             "--out", type=Path, metavar="DIR", help="write pictures, movie, trajectory"
         )
         sub.add_argument("--json", action="store_true", help="print the results as JSON, last line")
+        sub.add_argument(
+            "--no-cache",
+            action="store_true",
+            help="neither use nor keep compiled programs in the user's cache folder",
+        )
     return parser
 
 
@@ -196,12 +203,20 @@ def _main(words: list[str] | None) -> int:
             print(f"  {ready.name:<16}{ready.summary}")
         return 0
     jax.config.update("jax_enable_x64", True)  # a program of its own may choose; a library may not
+    if not arguments.no_cache:
+        _keep_programs()
     ready = next(r for r in SCENES if r.name == arguments.scene)
     try:
         return _run(ready, arguments)
     except (ValueError, SimulationError) as error:
         print(error, file=sys.stderr)
         return 1
+
+
+def _keep_programs() -> None:
+    """Compiled programs for the next time; a folder that cannot be had is no fault of the run."""
+    with contextlib.suppress(ValueError):
+        enable_cache()
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from ._checks import fail
-from .constraint import AbstractChainConstraint
+from .constraint import AbstractChainConstraint, AbstractConstraint
 from .factors import cholesky, cholesky_solve, diagonal
 from .iterations import conjugate_gradients
 from .mobility import MatrixFree, MobilityOperator
@@ -72,26 +72,51 @@ def constraint_map(t: Time, state: State, scene: Scene) -> ConstraintMap:
     return ConstraintMap(slip, linear, offset, pull)
 
 
+def _size(t: Time, state: State, scene: Scene, constraint: AbstractConstraint) -> int:
+    """Rows of a constraint."""
+    still = zero_motion(state, scene.rotational)
+    return np.size(constraint.slip(jnp.asarray(t), state, still, scene.chain))
+
+
+def _chained(
+    t: Time, state: State, scene: Scene
+) -> tuple[AbstractChainConstraint, int] | tuple[None, int]:
+    """The chain constraint, wherever it stands, and the number of its first row."""
+    first = 0
+    for constraint in scene.constraints:
+        if isinstance(constraint, AbstractChainConstraint):
+            return constraint, first
+        first += _size(t, state, scene, constraint)
+    return None, 0
+
+
 def matrix(t: Time, state: State, scene: Scene, operator: MobilityOperator) -> Array:
     """S = J M J^T, its upper triangle.
 
-    The first constraint assembles its own block where it can. All other columns are found by applying
+    The chain constraint assembles its own block where it can. All other columns are found by applying
     M to one unit multiplier after the other, vectorised.
     """
     j = constraint_map(t, state, scene)
-    rows, first, time = j.offset.shape[0], scene.constraints[0], jnp.asarray(t)
+    rows, (constraint, first) = j.offset.shape[0], _chained(t, state, scene)
     block = None
-    if isinstance(first, AbstractChainConstraint) and isinstance(operator, PairTensor):
-        block = first.assemble(time, state, operator, scene.chain)
-    known = 0 if block is None else block.shape[0]
-    units = jnp.eye(rows - known, rows, known, dtype=j.offset.dtype)
+    if constraint is not None and isinstance(operator, PairTensor):
+        block = constraint.assemble(jnp.asarray(t), state, operator, scene.chain)
+    last = first if block is None else first + block.shape[0]
+    others = np.array([*range(first), *range(last, rows)], int)
+    units = jnp.eye(rows, dtype=j.offset.dtype)[others]
     rest = jax.vmap(lambda unit: j.compliance(operator, unit))(units)
     # Rows that read no motion (as those of a chain constraint between two fibres) stay regular.
-    empty = jnp.diagonal(rest, known) == 0
+    empty = rest[np.arange(len(others)), others] == 0
     rest = jnp.where(empty[:, None], units, rest)
     if block is None or len(rest) == 0:
         return rest if block is None else block
-    return jnp.concatenate([jnp.pad(block, ((0, rows - known), (0, 0))), rest.T], axis=1)
+    # Rows before the chain's are whole; of those after it only the upper triangle is asked for.
+    middle = jnp.concatenate(
+        [jnp.pad(block, ((0, rows - last), (0, 0))), rest[first:, first:].T], axis=1
+    )
+    if first == 0:
+        return middle
+    return jnp.concatenate([rest[:first], jnp.pad(middle, ((0, 0), (first, 0)))])
 
 
 Product = Callable[[Array], Array]
@@ -150,15 +175,11 @@ def _factorised(t: Time, state: State, scene: Scene, operator: MobilityOperator)
 def _iterations(t: Time, state: State, scene: Scene, operator: MatrixFree) -> Iterations:
     windows, j = Windows(state, operator, scene.chain), constraint_map(t, state, scene)
     still, rows = zero_motion(state, scene.rotational), len(j.offset)
-    banded, first, last = None, 0, 0
-    for constraint in scene.constraints:
-        if isinstance(constraint, AbstractChainConstraint) and scene.chain.beads > 1:
-            size = np.size(constraint.slip(jnp.asarray(t), state, still, scene.chain))
-            banded, last = windows.factor(jnp.asarray(t), constraint), first + size
-            break
-        first += np.size(constraint.slip(jnp.asarray(t), state, still, scene.chain))
-    else:
-        first = 0
+    constraint, first = _chained(t, state, scene) if scene.chain.beads > 1 else (None, 0)
+    banded, last = None, first
+    if constraint is not None:
+        banded = windows.factor(jnp.asarray(t), constraint)
+        last = first + _size(t, state, scene, constraint)
     others = np.r_[:first, last:rows]
     if len(others) > MOST_OTHERS:
         must = f"have at most {MOST_OTHERS} rows beside a chain's where the mobility is not dense"

@@ -12,7 +12,7 @@ import diffrax
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from ._checks import described, fail, increasing, positive, whole
 from ._compat import CompileClock
@@ -118,7 +118,7 @@ def simulate(
         run.target = TrajectoryFile.create(file, scene, stepper, times, state)
     with run:
         carry = _init(stepper, scene, state, times[0], times[1])
-        first = _part(scene, times[:1], jax.tree.map(lambda x: x[None], state), carry)
+        first = _part(scene, times[:1], [jax.tree.map(lambda x: x[None], state)], carry)
         if not np.all(np.isfinite(np.asarray(first.residual))):
             how = redundancy(float(times[0]), state, scene)
             if how is not None:
@@ -175,7 +175,7 @@ def resume(
     like = _init(stepper, scene, last.final, times[0], times[1])
     run.target, carry = reopen(file, like)
     with run:
-        first = _part(scene, last.ts[-1:], jax.tree.map(lambda x: x[-1:], last.states), carry)
+        first = _part(scene, last.ts[-1:], [jax.tree.map(lambda x: x[-1:], last.states)], carry)
         return run.go(carry, first, len(last.ts) - 1, clock)
 
 
@@ -187,8 +187,11 @@ def _refuse_traced(by: str, **arguments: Any) -> None:
         fail(re.split(r"[.\[]", path)[0], must, how)
 
 
-def _part(scene: Scene, ts: Float[Array, " times"], states: State, carry: Carry) -> Solution:
-    return Solution(ts, states, carry.steps, carry.code, *_diagnostics(scene, ts, states))
+def _part(scene: Scene, ts: Array, each: list[State], carry: Carry) -> Solution:
+    """Of states one by one, each with an axis of times, for which one program is compiled."""
+    times = [jax.device_put(t[None]) for t in np.asarray(ts)]
+    found = [_diagnostics(scene, t, state) for t, state in zip(times, each, strict=True)]
+    return Solution(ts, _concatenate(each), carry.steps, carry.code, *_concatenate(found))
 
 
 def _warn_of_large_step(scene: Scene, stepper: Stepper, ts: Array) -> None:
@@ -278,9 +281,8 @@ class _Run:
         for index in range(done, done + count):
             after, state = _advance(self.stepper, self.scene, after, ts[index : index + 2])
             each.append(state)
-        states = _concatenate(each)
-        part = _part(self.scene, jax.device_put(ts[done + 1 : done + count + 1]), states, after)
-        fine = np.isfinite(np.asarray(states.position)).all(axis=(1, 2))
+        part = _part(self.scene, jax.device_put(ts[done + 1 : done + count + 1]), each, after)
+        fine = np.isfinite(np.asarray(part.states.position)).all(axis=(1, 2))
         fine &= np.asarray(part.bond_length_error) <= self.bond_tolerance
         fine &= np.asarray(part.residual) <= RESIDUAL_TOLERANCE
         if not fine.all() or int(after.code) != 0:
@@ -296,7 +298,7 @@ class _Run:
         for index in range(done, done + good):
             span = np.asarray(self.ts)[index : index + 2]
             carry, states = _advance(self.stepper, self.scene, carry, span)
-            parts.append(_part(self.scene, jax.device_put(span[1:]), states, carry))
+            parts.append(_part(self.scene, jax.device_put(span[1:]), [states], carry))
             if self.target is not None:
                 self.target.append(parts[-1], carry)
         span = np.asarray(self.ts)[done + good : done + good + 2]

@@ -17,6 +17,8 @@ from jaxbeads.constraint import (
     AbstractConstraint,
     FrozenJoints,
     Gears,
+    PrescribedPosition,
+    PrescribedSpin,
     clamped,
 )
 from jaxbeads.flow import Shear
@@ -86,6 +88,35 @@ def test_every_force_and_flow_in_plane_and_space(force, flow):
     assert np.abs(plane.spin - space.spin[:, 2:]).max() < 1e-13 * np.abs(plane.spin).max()
     assert np.abs(space.velocity[:, 2]).max() < 1e-14 * scale
     assert float(dynamics.constraint_residual(0.2, state, model)) < 1e-14
+
+
+@pytest.mark.parametrize("place", [0, 1, 2])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_the_chain_constraint_stands_anywhere(dim, place):
+    # S, assembled and by columns, and the motion are the same in every order of the constraints.
+    chain = Chain(np.linspace(0.8, 1.1, 8), (3, 5))
+    state = bent(chain, dim)
+    others = [PrescribedPosition(bead=0), PrescribedSpin(bead=6)]
+    parts = [*others[:place], Gears(), *others[place:]]
+    forces = [Weight([0.1, -1.0, 0.3][:dim]), Bending(3.0)]
+    model = Scene(chain, 1.0, constraints=parts, forces=forces)
+    operator = RPY().operator(state.position, chain.radius, model.viscosity, True)
+    j = dynamics.constraint_map(0.0, state, model)
+    now, moved = jnp.zeros(()), dynamics.motion(0.0, state, model)
+    sizes = [c.slip(now, state, moved, chain).size for c in parts]
+    columns = np.stack([j.compliance(operator, jnp.asarray(u)) for u in np.eye(sum(sizes))], axis=1)
+    direct = np.asarray(dynamics.constraint_matrix(0.0, state, model))
+    live = np.concatenate(
+        [
+            np.tile(chain.bond_mask, dim) if isinstance(c, Gears) else np.ones(size, bool)
+            for c, size in zip(parts, sizes, strict=True)
+        ]
+    )
+    assert np.abs((direct - columns)[np.ix_(live, live)]).max() < 1e-15
+    first = Scene(chain, 1.0, constraints=[Gears(), *others], forces=forces)
+    here, there = (dynamics.motion(0.0, state, m) for m in (model, first))
+    assert np.abs(here.velocity - there.velocity).max() < 1e-13 * np.abs(there.velocity).max()
+    assert float(dynamics.constraint_residual(0.0, state, model)) < 1e-14
 
 
 @pytest.mark.parametrize("fibres", [8, (3, 5)], ids=str)
