@@ -291,3 +291,24 @@ def test_derivatives_by_the_times(solver):
         assert abs(difference) > 1e-3
         assert abs(reverse[k] - difference) < 1e-6 * abs(difference)
         assert abs(reverse[k] - forward[k]) < 1e-12 * abs(difference)
+
+
+BATCHES = [{"substeps": 5}, {"solver": diffrax.Tsit5()}, {"solver": Rosenbrock()}]
+
+
+@pytest.mark.parametrize("options", BATCHES, ids=str)
+def test_gradients_of_a_batch(options):
+    # Members differ in a parameter, not in their start: derivatives of all of them, inside and outside.
+    model, state = moving(flow=False)
+
+    def end(viscosity):
+        changed = eqx.tree_at(lambda m: m.viscosity, model, viscosity)
+        return rollout(changed, state, TIMES[:3], **options).final.position[0, 1]
+
+    viscosities = jnp.array([0.8, 1.0, 1.7])
+    alone = jnp.stack([jax.jit(jax.grad(end))(v) for v in viscosities])
+    together = jax.jit(jax.grad(lambda v: jnp.sum(jax.vmap(end)(v))))(viscosities)
+    assert np.abs(together / alone - 1).max() < 1e-10
+    if "substeps" in options:
+        inside = jax.jit(jax.vmap(jax.grad(end)))(viscosities)
+        assert np.abs(inside / alone - 1).max() < 1e-10
