@@ -18,7 +18,6 @@ from jaxbeads import (
     Scene,
     State,
     check,
-    dynamics,
     from_directors,
     from_tangents,
     load,
@@ -119,7 +118,8 @@ def unrun(monkeypatch):
 @pytest.fixture
 def untraced(unrun, monkeypatch):
     """Nothing may be compiled, and the dynamics may not even be traced."""
-    monkeypatch.setattr(dynamics, "evaluate", never)
+    for name in ("evaluation", "solved"):
+        monkeypatch.setattr(importlib.import_module("jaxbeads.instant"), name, never)
     for name in ("_init", "_diagnostics"):
         monkeypatch.setattr(importlib.import_module("jaxbeads.simulate"), name, never)
 
