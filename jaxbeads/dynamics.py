@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ._typing import with_all_digits
 from .coincidence import coincidence
 from .constraint import AbstractConstraint
 from .factors import symmetric
@@ -77,6 +78,7 @@ def constraint_matrix(t: Time, state: State, scene: Scene) -> Float[Array, "rows
 
 
 @eqx.filter_jit
+@with_all_digits
 def _full_matrix(t: Time, state: State, scene: Scene) -> Array:
     operator = mobility_operator(state, scene)
     if isinstance(operator, MatrixFree):
@@ -85,6 +87,7 @@ def _full_matrix(t: Time, state: State, scene: Scene) -> Array:
 
 
 @eqx.filter_jit
+@with_all_digits
 def _answer(t: Time, state: State, scene: Scene) -> Array:
     """Multipliers that stop some motion of the beads, whatever their loads; NaN if nothing can."""
     system = saddle_point(t, state, scene, mobility_operator(state, scene))
@@ -192,6 +195,7 @@ def constraint_residual(t: Time, state: State, scene: Scene) -> Float[Array, ""]
 
 
 @eqx.filter_jit
+@with_all_digits
 def _residual(t: Time, state: State, scene: Scene) -> Array:
     moved = solved(t, state, scene).evaluation.motion
     free = free_motion(t, state, scene, mobility_operator(state, scene))

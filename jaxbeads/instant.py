@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from ._typing import with_all_digits
 from .chain import Chain
 from .flow import AbstractFlow
 from .flow.base import spin_and_strain, velocity_and_gradient
@@ -79,6 +80,7 @@ def free_motion(t: Time, state: State, scene: Scene, operator: MobilityOperator)
 
 
 @eqx.filter_jit
+@with_all_digits
 def evaluation(t: Time, state: State, scene: Scene, known: "Solved | None") -> Evaluation:
     """As `evaluate`; derivatives of an instant that is `known` take it as it is."""
     return _instant(t, state, scene, known).evaluation
@@ -112,6 +114,7 @@ def _instant(t: Time, state: State, scene: Scene, known: Solved | None) -> Solve
 
 
 @eqx.filter_jit
+@with_all_digits
 def solved(t: Time, state: State, scene: Scene) -> Solved:
     """One instant, without derivatives."""
     operator = mobility_operator(state, scene)
@@ -123,6 +126,7 @@ def solved(t: Time, state: State, scene: Scene) -> Solved:
 
 
 @_instant.def_jvp
+@with_all_digits
 def _instant_jvp(primals: Any, tangents: Any) -> tuple[Solved, Solved]:
     """With multipliers and motion held, dQdot = d[M (F + J^T lambda) + V_inf + C:E] + M J^T dlambda and
     J dQdot = -(dJ Qdot + dB): derivatives in either mode take the factor that there is. Second
@@ -178,6 +182,7 @@ def _answered(
 
 
 @eqx.filter_jit
+@with_all_digits
 def derivative(
     t: Time,
     state: State,
@@ -199,6 +204,7 @@ def _derivative(
 
 
 @_derivative.def_jvp
+@with_all_digits
 def _derivative_jvp(primals: Any, tangents: Any) -> tuple[Evaluation, Evaluation]:
     """With K z = b for the saddle-point system, K z_uv = -(second derivative of K z - b along (x_u, z_u)
     and (x_v, z_v)): no solution is differentiated."""

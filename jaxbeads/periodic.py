@@ -9,6 +9,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from ._checks import fail, known, positive, whole
+from ._typing import with_all_digits
 from .geometry import normals
 from .instant import Time
 from .rollout import default_solver, rollout
@@ -186,6 +187,7 @@ def _turned_by(first: _Figure, last: _Figure) -> Array:
 
 
 @eqx.filter_jit
+@with_all_digits
 def _solve(
     problem: Problem,
     moving: bool,

@@ -12,7 +12,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from ._checks import fail, increasing, kind, known, positive, whole
-from ._typing import float_array
+from ._typing import float_array, with_all_digits
 from .constraint import AbstractChainConstraint
 from .dynamics import constraint_residual
 from .force import AbstractForce
@@ -190,6 +190,7 @@ def _with_tolerances(
     )
 
 
+@with_all_digits
 def advance(
     stepper: Stepper, scene: Scene, carry: Carry, ts: Float[Array | np.ndarray, " times"]
 ) -> tuple[Carry, State]:

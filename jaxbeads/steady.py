@@ -11,6 +11,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from ._checks import known, positive, whole
+from ._typing import with_all_digits
 from .coordinates import Coordinates, coordinates
 from .faults import REMEDY, not_finite, not_smooth
 from .instant import Time
@@ -304,6 +305,7 @@ def steady_state(
 
 
 @eqx.filter_jit
+@with_all_digits
 def _solve(
     problem: Problem, moving: bool, tolerance: Array, max_steps: int
 ) -> tuple[SteadyState, State]:

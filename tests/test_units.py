@@ -3,17 +3,18 @@
 from functools import partial
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import CONSTRAINTS, FLOWS, FORCES, MOBILITIES, bent, in_units, jointed
 
-from jaxbeads import AB3, Chain, Scene, State, dynamics, simulate
+from jaxbeads import AB3, Chain, Scene, State, dynamics, rollout, simulate
 from jaxbeads.constraint import Gears, Joint, PrescribedLengths, PrescribedPosition, PrescribedSpin
 from jaxbeads.flow import Shear
 from jaxbeads.force import Bending, JointBending, JointRepulsion, Weight
-from jaxbeads.mobility import FreeDraining
+from jaxbeads.mobility import RPY, FreeDraining
 from jaxbeads.observables import friction_coefficient, rigid_resistance
 from jaxbeads.scenes import SCENES
 from jaxbeads.solver import explicit_step, substeps_for
@@ -310,3 +311,45 @@ def test_a_whole_number_of_steps_stays_whole():
         assert substeps_for(scene, ts, float(np.asarray(step, dtype))) in (10, 12)
         assert substeps_for(scene, ts, step) == substeps_for(scene, step * 10 * np.arange(4), step)
     assert FixedSteps(AB3(), 10).substeps == 10
+
+
+def products(program):
+    """The precision of each matrix product of a program, those within it included."""
+    for step in program.eqns:
+        if step.primitive.name == "dot_general":
+            yield step.params["precision"]
+        for inner in jax.tree.leaves(
+            step.params, is_leaf=lambda x: hasattr(x, "eqns") or hasattr(x, "jaxpr")
+        ):
+            inner = getattr(inner, "jaxpr", inner)
+            if hasattr(inner, "eqns"):
+                yield from products(inner)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_products_keep_all_digits_of_single_precision(dim):
+    # Accelerators round float32 to 10 bits in a product whose precision is left to them.
+    scene, state = single(
+        micrometres(UNEQUAL, dim, forces=[Bending(1e-24), Weight(np.eye(dim)[1])])
+    )
+    large = eqx.tree_at(lambda s: s.mobility, scene, RPY(dense=False))
+    ts = jnp.linspace(0.0, 0.1, 3, dtype=jnp.float32)
+    held = eqx.tree_at(lambda s: s.constraints, scene, (Gears(), PrescribedPosition(bead=0)))
+
+    def end(scene, **options):
+        return rollout(scene, state, ts, single_precision=True, **options).final.position
+
+    def slope(**options):
+        return lambda scene: jax.grad(lambda x: jnp.sum(end(x, **options)))(scene)
+
+    for function, argument in [
+        (lambda scene: dynamics.motion(0.0, state, scene), scene),
+        (lambda scene: dynamics.motion(0.0, state, scene), large),
+        (lambda scene: dynamics.constraint_matrix(0.0, state, scene), held),
+        (partial(end, substeps=4), scene),
+        (slope(substeps=4), held),
+        (slope(), scene),
+    ]:
+        found = list(products(jax.make_jaxpr(function)(argument).jaxpr))
+        highest = (jax.lax.Precision.HIGHEST,) * 2
+        assert found and all(precision == highest for precision in found)

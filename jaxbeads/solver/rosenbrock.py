@@ -11,6 +11,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
+from .._typing import with_all_digits
 from ..coordinates import Coordinates, coordinates
 from ..factors import lu, triangular_solve
 from ..instant import Solved, solved
@@ -186,6 +187,7 @@ def _stages(t0: Array, h: Array, chart: Coordinates, scene: Scene) -> _Stages:
 
 
 @eqx.filter_jit
+@with_all_digits
 def _solved(t0: Array, h: Array, chart: Coordinates, scene: Scene) -> _Stages:
     about, x0 = linearise(t0, chart, scene), chart.origin
     # In units of their own: the pivots of lengths and angles must not depend on the unit of length.
@@ -212,6 +214,7 @@ def _solved(t0: Array, h: Array, chart: Coordinates, scene: Scene) -> _Stages:
 
 
 @_stages.def_jvp
+@with_all_digits
 def _stages_jvp(primals: Any, tangents: Any) -> tuple[_Stages, _Stages]:
     """With G_i = f'(t0, x0) (h DRIFT_i, u_i), the derivative of f along a stage, dots for derivatives by
     all that is given, and G_i* for that of G_i with u_i held:

@@ -14,6 +14,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from .._typing import with_all_digits
 from ..coordinates import project, tidied
 from ..dynamics import rate
 from ..geometry import norm
@@ -244,6 +245,7 @@ class AdaptiveSteps(eqx.Module):
 
 
 @eqx.filter_jit
+@with_all_digits
 def _step(
     solver: Any, t0: Array, t1: Array, state: State, scene: Scene, memory: Any, jump: Array
 ) -> Any:
@@ -279,6 +281,7 @@ def _unfinished(turn: _Turn, fixed: _Fixed) -> Array:
     return (a.previous < fixed[3]) & (code == 0)
 
 
+@with_all_digits
 def _attempted(turn: _Turn, fixed: _Fixed) -> _Turn:
     count, code, a = turn
     stepper, scene, t0, t1 = fixed
