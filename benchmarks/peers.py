@@ -121,13 +121,13 @@ def mobility(python: Path, beads: int, calls: int) -> dict[str, float]:
     )
 
     def fields(position: Any, radius: Any, viscosity: Any, force: Any, torque: Any) -> Any:
-        operator = jb.tensors.rpy(position, radius, viscosity, True)
+        operator = jb.tensors.rpy(jb.Configuration(position, radius, viscosity))
         motion = operator.motion(jb.Load(force, torque))
         return motion.velocity, motion.spin
 
     def pairs(position: Any, radius: Any, viscosity: Any, force: Any, torque: Any) -> Any:
         load = jb.Load(force, torque)
-        motion = jb.tensors.rpy_motion(position, radius, viscosity, True, load)
+        motion = jb.tensors.rpy_motion(jb.Configuration(position, radius, viscosity), load)
         return motion.velocity, motion.spin
 
     seconds, compiling, motions = [], [], [np.array(x) for x in theirs["motions"]]

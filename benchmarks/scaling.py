@@ -86,7 +86,7 @@ def evaluation(state: jb.State, scene: jb.Scene) -> tuple[jb.Motion, jax.Array]:
 @eqx.filter_jit
 def count(state: jb.State, scene: jb.Scene) -> jax.Array:
     """Iterations for the multipliers."""
-    operator = saddle.mobility_operator(state, scene)
+    operator = scene.operator(state)
     system = saddle.saddle_point(0.0, state, scene, operator)
     j, precondition = system.constraints, system.solver.precondition
     rhs = -j.slip(dynamics.free_motion(0.0, state, scene, operator))
@@ -95,7 +95,7 @@ def count(state: jb.State, scene: jb.Scene) -> jax.Array:
 
 @jax.jit
 def product(state: jb.State, scene: jb.Scene, load: jb.Load) -> jb.Motion:
-    return saddle.mobility_operator(state, scene).motion(load)
+    return scene.operator(state).motion(load)
 
 
 gradient = jax.jit(
@@ -109,7 +109,7 @@ def sampled_error(state: jb.State, scene: jb.Scene, load: jb.Load, moved: jb.Mot
     """Error of some beads' velocities against sums in NumPy of the tensors of pairs, each by itself."""
     x, worst = state.position, 0.0
     radius, viscosity = scene.chain.radius, scene.viscosity
-    alone = jax.jit(jax.vmap(lambda pair: tensors.rpy(pair, radius, viscosity, True)))
+    alone = jax.jit(jax.vmap(lambda pair: tensors.rpy(jb.Configuration(pair, radius, viscosity))))
     for bead in np.random.default_rng(1).choice(len(x), 3, replace=False):
         others = np.arange(len(x)) != bead
         tensor = alone(jnp.stack([jnp.broadcast_to(x[bead], x.shape), x], axis=1))

@@ -56,7 +56,7 @@ def dense_velocity(scene: jb.Scene, state: jb.State) -> np.ndarray:
     def unpack(x: jax.Array) -> tuple[jax.Array, jax.Array]:
         return x[: beads * dim].reshape(beads, dim), x[beads * dim :].reshape(beads, turns)
 
-    operator = scene.mobility.operator(state.position, scene.chain.radius, scene.viscosity, True)
+    operator = scene.operator(state)
     size = beads * (dim + turns)
     mobility = np.asarray(
         jax.vmap(lambda u: pack(operator.motion(jb.Load(*unpack(u)))))(jnp.eye(size))

@@ -27,6 +27,8 @@ from .chain import Chain as Chain
 from .chain import from_directors as from_directors
 from .chain import from_tangents as from_tangents
 from .chain import straight as straight
+from .configuration import Configuration as Configuration
+from .domain import Unbounded as Unbounded
 from .files import load as load
 from .optimise import optimise as optimise
 from .optimum import Optimum as Optimum
@@ -35,6 +37,7 @@ from .periodic import periodic_state as periodic_state
 from .rollout import rollout as rollout
 from .scene import Scene as Scene
 from .scene import check as check
+from .setting import Setting as Setting
 from .simulate import resume as resume
 from .simulate import simulate as simulate
 from .solution import Solution as Solution

@@ -72,7 +72,7 @@ def guilty_term(t: float, state: State, scene: Scene, derivatives: bool = False)
         return fault
     sizes = {}
     for force in scene.forces:
-        load = _size(force.load(jnp.asarray(t), state, scene.chain))
+        load = _size(force.load(jnp.asarray(t), state, scene))
         sizes[type(force).__name__] = max(load, sizes.get(type(force).__name__, 0.0))
     largest = max(sizes, key=lambda name: sizes[name], default="")
     if not largest or sizes[largest] == 0:
@@ -84,7 +84,7 @@ def _smallest_gap(scene: Scene, state: State) -> str:
     radii = np.asarray(scene.chain.radii)
     if len(radii) < 2:
         return ""
-    gap, i, j = smallest_gap(np.asarray(state.position), radii)
+    gap, i, j = smallest_gap(np.asarray(state.position), radii, scene.domain)
     found = f" The smallest gap is {gap:.3g} (beads {i} and {j})."
     if gap < -0.1 * radii.min() and not any(isinstance(f, Contact) for f in scene.forces):
         found += " They pass through one another: `Contact` keeps beads apart."

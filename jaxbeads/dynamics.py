@@ -23,8 +23,7 @@ from .instant import (
     rate,
     solved,
 )
-from .mobility import MatrixFree
-from .saddle import Time, constraint_map, matrix, mobility_operator, saddle_point, slips
+from .saddle import Time, constraint_map, matrix, saddle_point, slips
 from .scene import Scene, in_single
 from .state import Load, Motion, State, zero_motion
 
@@ -80,17 +79,16 @@ def constraint_matrix(t: Time, state: State, scene: Scene) -> Float[Array, "rows
 @eqx.filter_jit
 @with_all_digits
 def _full_matrix(t: Time, state: State, scene: Scene) -> Array:
-    operator = mobility_operator(state, scene)
-    if isinstance(operator, MatrixFree):
-        operator = operator.among(jnp.arange(scene.chain.beads))
-    return symmetric(matrix(t, state, scene, operator))
+    operator = scene.operator(state)
+    whole = operator.kept() if scene.dense else operator.some(jnp.arange(scene.chain.beads))
+    return symmetric(matrix(t, state, scene, whole))
 
 
 @eqx.filter_jit
 @with_all_digits
 def _answer(t: Time, state: State, scene: Scene) -> Array:
     """Multipliers that stop some motion of the beads, whatever their loads; NaN if nothing can."""
-    system = saddle_point(t, state, scene, mobility_operator(state, scene))
+    system = saddle_point(t, state, scene, scene.operator(state).kept())
     still = zero_motion(state, scene.rotational)
     moved = jax.tree.map(lambda v: jnp.cos(jnp.arange(v.size)).reshape(v.shape), still)
     return system.multipliers(system.constraints.slip(moved))
@@ -118,7 +116,7 @@ def redundancy(t: Time, state: State, scene: Scene) -> str | None:
     """
     if not scene.constraints:
         return None
-    if not scene.mobility.is_dense(scene.chain.beads):
+    if not scene.dense:
         if np.all(np.isfinite(_answer(jnp.asarray(t), state, scene))):
             return None
         if (how := _together(state, scene)) is not None:
@@ -198,7 +196,7 @@ def constraint_residual(t: Time, state: State, scene: Scene) -> Float[Array, ""]
 @with_all_digits
 def _residual(t: Time, state: State, scene: Scene) -> Array:
     moved = solved(t, state, scene).evaluation.motion
-    free = free_motion(t, state, scene, mobility_operator(state, scene))
+    free = free_motion(t, state, scene, scene.operator(state).kept())
     radius = jnp.max(scene.chain.radius)
     both = jax.tree.leaves(((moved.velocity, free.velocity), (moved.spin, free.spin)))
     sizes = [jnp.max(jnp.abs(x)) for x in both]

@@ -42,7 +42,7 @@ def not_finite(t: Time, state: State, scene: Scene) -> Fault | None:
     """The first term whose value is not finite; `None` if all are. A host function."""
     time = jnp.asarray(t, state.position.dtype)
     for force in scene.forces:
-        bead = _first(force.load(time, state, scene.chain), len(state.position))
+        bead = _first(force.load(time, state, scene), len(state.position))
         if bead is not None:
             return Fault(type(force).__name__, "its load is not finite", *bead)
     if scene.flow is not None:
@@ -91,14 +91,13 @@ def not_smooth(t: Time, state: State, scene: Scene) -> Fault | None:
         return None
 
     def mobile(t: Array, s: State) -> Motion:
-        radius, viscosity = scene.chain.radius, scene.viscosity
-        return scene.mobility.motion(s.position, radius, viscosity, scene.rotational, load)
+        return scene.operator(s).motion(load)
 
     return _derivative(type(scene.mobility).__name__, "its motion", mobile, time, state)
 
 
 def _load(force: AbstractForce, scene: Scene, t: Array, state: State) -> Load:
-    return force.load(t, state, scene.chain)
+    return force.load(t, state, scene)
 
 
 def _slip(

@@ -7,6 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .domain import AbstractDomain, Unbounded
+
+_UNBOUNDED = Unbounded()
+
 
 def norm(vector: Float[Array, "*batch dim"]) -> Float[Array, "*batch"]:
     """Length of vectors, with derivative 0 (not NaN) at the zero vector."""
@@ -83,14 +87,17 @@ def turning_angles(position: Float[Array, "*batch beads dim"]) -> Array:
     return jnp.arctan2(sine, jnp.sum(before * after, axis=-1))
 
 
-def smallest_gap(position: np.ndarray, radii: np.ndarray) -> tuple[float, int, int]:
+def smallest_gap(
+    position: np.ndarray, radii: np.ndarray, domain: AbstractDomain = _UNBOUNDED
+) -> tuple[float, int, int]:
     """Smallest distance of the surfaces of two beads (negative if they overlap), and which they are. On
     the host, some beads at a time; at least two beads."""
     best, beads = (np.inf, 0, 1), len(position)
     rows = max(1, 2**20 // beads)
     for start in range(0, beads, rows):
         part = slice(start, start + rows)
-        square = sum((x[part, None] - x[None, :]) ** 2 for x in position.T)
+        apart = [x[part, None] - x[None, :] for x in position.T]
+        square = sum(np.asarray(d) ** 2 for d in domain.nearest(apart, 1.0))
         gap = np.sqrt(square) - radii[part, None] - radii[None, :]
         own = np.arange(len(gap))
         gap[own, start + own] = np.inf

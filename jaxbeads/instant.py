@@ -22,7 +22,7 @@ from .flow.base import spin_and_strain, velocity_and_gradient
 from .frames import normal_rate
 from .geometry import spin_cross
 from .loops import keep
-from .mobility import MobilityOperator
+from .mobility import Product
 from .saddle import (
     Evaluation,
     Factorised,
@@ -30,7 +30,6 @@ from .saddle import (
     SaddlePoint,
     Time,
     constraint_map,
-    mobility_operator,
     saddle_point,
     slips,
 )
@@ -40,7 +39,7 @@ from .state import Load, Motion, State, add_loads, add_motions, zero_motion
 
 def applied_load(t: Time, state: State, scene: Scene) -> Load:
     """Sum of the forces' loads, without those of the constraints."""
-    return add_loads(*(force.load(jnp.asarray(t), state, scene.chain) for force in scene.forces))
+    return add_loads(*(force.load(jnp.asarray(t), state, scene) for force in scene.forces))
 
 
 def _fluid(flow: AbstractFlow, t: Time, state: State, scene: Scene) -> tuple[Motion, Array]:
@@ -66,12 +65,11 @@ def ambient_motion(t: Time, state: State, scene: Scene) -> Motion | None:
     if scene.flow is None:
         return None
     fluid, strain = _fluid(scene.flow, t, state, scene)
-    position, radius = state.position, scene.chain.radius
-    disturbance = scene.mobility.shear_disturbance(position, radius, strain, scene.rotational)
+    disturbance = scene.operator(state).disturbance(strain)
     return fluid if disturbance is None else add_motions(fluid, disturbance)
 
 
-def free_motion(t: Time, state: State, scene: Scene, operator: MobilityOperator) -> Motion:
+def free_motion(t: Time, state: State, scene: Scene, operator: Product) -> Motion:
     load, ambient = applied_load(t, state, scene), ambient_motion(t, state, scene)
     if load.force is None and load.torque is None:
         return zero_motion(state, scene.rotational) if ambient is None else ambient
@@ -95,19 +93,6 @@ class Solved(NamedTuple):
     """A constant to all derivatives."""
 
 
-class _Product(NamedTuple):
-    """M as a product in a form to be differentiated, of which no table is kept."""
-
-    state: State
-    scene: Scene
-
-    def motion(self, load: Load) -> Motion:
-        """M F."""
-        radius, viscosity = self.scene.chain.radius, self.scene.viscosity
-        mobility, rotational = self.scene.mobility, self.scene.rotational
-        return mobility.motion(self.state.position, radius, viscosity, rotational, load)
-
-
 @eqx.filter_custom_jvp
 def _instant(t: Time, state: State, scene: Scene, known: Solved | None) -> Solved:
     return solved(t, state, scene) if known is None else known
@@ -117,7 +102,7 @@ def _instant(t: Time, state: State, scene: Scene, known: Solved | None) -> Solve
 @with_all_digits
 def solved(t: Time, state: State, scene: Scene) -> Solved:
     """One instant, without derivatives."""
-    operator = mobility_operator(state, scene)
+    operator = scene.operator(state).kept()
     free = free_motion(t, state, scene, operator)
     if not scene.constraints:
         return Solved(Evaluation(free, _none(state)), None)
@@ -175,8 +160,8 @@ def _answered(
     (t, state, scene, _), (motion, slip) = at, moved
     if solver is None:
         return Evaluation(motion, slip)
-    # Not by the operator, whose tables the backward pass would have to make again.
-    system = SaddlePoint(_Product(state, scene), constraint_map(t, state, scene), solver)
+    # Not by tables, which the backward pass would have to make again.
+    system = SaddlePoint(scene.operator(state), constraint_map(t, state, scene), solver)
     change = system.multipliers(slip + system.constraints.linear(motion))
     return Evaluation(add_motions(motion, system.pulled(change)), change)
 
@@ -228,7 +213,7 @@ def _pushed(t: Time, state: State, scene: Scene, load: Load) -> Motion:
     ambient = ambient_motion(t, state, scene)
     if load.force is None and load.torque is None:
         return zero_motion(state, scene.rotational) if ambient is None else ambient
-    motion = _Product(state, scene).motion(load)
+    motion = scene.operator(state).motion(load)
     return motion if ambient is None else add_motions(motion, ambient)
 
 

@@ -22,7 +22,7 @@ from .instant import (
     rate,
     solved,
 )
-from .mobility import MatrixFree, MobilityOperator
+from .mobility import Product
 from .pairs import PairTensor
 from .programs import reached
 from .saddle import (
@@ -30,7 +30,6 @@ from .saddle import (
     SaddlePoint,
     Time,
     constraint_map,
-    mobility_operator,
     slips,
 )
 from .scene import Scene
@@ -97,11 +96,10 @@ def linearise(t: Time, coordinates: Coordinates, scene: Scene) -> Linearisation:
     `dynamics.evaluate`.
     """
     t, state = jnp.asarray(t), coordinates.start
-    operator = mobility_operator(state, scene)
-    if isinstance(operator, MatrixFree):
+    if not scene.dense:
         must = "have a dense mobility for implicit solvers and steady states"
         fail("scene", must, "it has none: take `RPY(dense=True)`, or an explicit solver")
-    known = solved(t, state, scene)
+    operator, known = scene.operator(state).kept(), solved(t, state, scene)
     moved, solver = known.evaluation.motion, known.solver
     system = None
     if solver is not None:
@@ -121,7 +119,7 @@ def _jacobian(
     coordinates: Coordinates,
     scene: Scene,
     system: SaddlePoint | None,
-    operator: MobilityOperator,
+    operator: Product,
     found: Evaluation,
 ) -> Float[Array, "numbers numbers"]:
     """df/dx from the solution of one instant."""
@@ -147,7 +145,7 @@ def _drift(
     t: Array,
     state: State,
     scene: Scene,
-    operator: MobilityOperator,
+    operator: Product,
     system: SaddlePoint | None,
     held: Motion,
 ) -> Motion | None:
@@ -177,7 +175,7 @@ def _explicit_columns(
     state: State,
     shifts: State,
     scene: Scene,
-    operator: MobilityOperator,
+    operator: Product,
     multipliers: Array | None,
 ) -> Motion:
     """Derivatives of M (F + J^T lambda) + V_inf + C:E along shifts of the state, with lambda held."""
@@ -190,11 +188,7 @@ def _explicit_columns(
 
     still, count = zero_motion(state, scene.rotational), len(shifts.position)
     moved = jax.tree.map(lambda v: jnp.zeros((count, *v.shape), v.dtype), still)
-    interactions = scene.mobility.gradient(
-        state.position,
-        scene.chain.radius,
-        scene.viscosity,
-        scene.rotational,
+    interactions = scene.operator(state).gradient(
         load(state),
         None if scene.flow is None else _strain(scene.flow, t, scene.chain.radius),
         shifts.position,
@@ -250,7 +244,7 @@ def _per_bead(rows: Array, state: State) -> Array:
     return jnp.swapaxes(rows.reshape(len(rows), -1, len(state.position)), 1, 2)
 
 
-def _unit_motions(operator: MobilityOperator, state: State, torque: bool) -> Motion:
+def _unit_motions(operator: Product, state: State, torque: bool) -> Motion:
     """Motions under a unit force (or torque) along each component on each bead."""
     if isinstance(operator, PairTensor):
         return operator.unit_motions(torque)

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 
 from ._checks import fail
 from .chain import Chain, straight
+from .configuration import Configuration
 from .dynamics import constraint_load, constraint_residual, motion
 from .geometry import bonds, cross, norm, tangents
 from .instant import Time, applied_load
@@ -200,7 +201,7 @@ def _resistance(
 ) -> Array:
     beads, dim = position.shape
     turns = spins(dim)
-    operator = mobility.operator(position, chain.radius, viscosity, True)
+    operator = mobility.operator(Configuration(position, chain.radius, viscosity)).kept()
     # Spins times a length and torques over it: pivots must not depend on the unit of length.
     length = jnp.max(chain.radius)
 

@@ -5,7 +5,7 @@ As tables the mobility of a planar scene is 6 fields, that of a spatial one 15.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -73,38 +73,6 @@ def pair_sums(fields: Callable[[Any, Any], Sequence[Field]], beads: PyTree) -> l
 
     sums = lax.map(jax.checkpoint(block), jax.tree.map(cut, beads))
     return [x.ravel()[:number] for x in sums]
-
-
-class Unit(NamedTuple):
-    """The unit of length of a configuration, with positions and radii in it."""
-
-    length: Array
-    position: Array
-    radius: Array | None
-    """`None`: 1 for all."""
-
-    def pairs(self) -> tuple[list[Field], Radii | None]:
-        """Separations and radii of all pairs."""
-        radii = None if self.radius is None else radii_of(self.radius, self.radius)
-        return separations(self.position, self.position), radii
-
-    def sums(self, fields: Callable[[list[Field], Radii | None], Sequence[Field]]) -> list[Array]:
-        """Sums over j of functions of r_i - r_j and the radii, see `pair_sums`."""
-        if self.radius is None:
-            return pair_sums(lambda to, of: fields(separations(to, of), None), self.position)
-
-        def unequal(to: tuple[Array, Array], of: tuple[Array, Array]) -> Sequence[Field]:
-            return fields(separations(to[0], of[0]), radii_of(to[1], of[1]))
-
-        return pair_sums(unequal, (self.position, self.radius))
-
-
-def in_radii(position: Float[Array, "beads dim"], radius: Float[Array, "*beads"]) -> Unit:
-    """The radius for a unit, or the largest one: on that no result depends, nor does a derivative."""
-    if radius.ndim == 0:
-        return Unit(radius, position / radius, None)
-    length = lax.stop_gradient(jnp.max(radius))
-    return Unit(length, position / length, radius / length)
 
 
 class Signed(eqx.Module):

@@ -14,7 +14,7 @@ from ._checks import fail
 from .constraint import AbstractChainConstraint, AbstractConstraint
 from .factors import cholesky, cholesky_solve, diagonal
 from .iterations import conjugate_gradients
-from .mobility import MatrixFree, MobilityOperator
+from .mobility import Product
 from .pairs import PairTensor
 from .scene import Scene
 from .state import Load, Motion, State, add_motions, zero_motion
@@ -52,7 +52,7 @@ class ConstraintMap(NamedTuple):
     offset: Array  # B
     pull: Callable[[Array], Load]  # J^T lambda
 
-    def compliance(self, operator: MobilityOperator, multipliers: Array) -> Array:
+    def compliance(self, operator: Product, multipliers: Array) -> Array:
         """J M J^T lambda."""
         return self.linear(operator.motion(self.pull(multipliers)))
 
@@ -90,7 +90,7 @@ def _chained(
     return None, 0
 
 
-def matrix(t: Time, state: State, scene: Scene, operator: MobilityOperator) -> Array:
+def matrix(t: Time, state: State, scene: Scene, operator: Product) -> Array:
     """S = J M J^T, its upper triangle.
 
     The chain constraint assembles its own block where it can. All other columns are found by applying
@@ -119,7 +119,7 @@ def matrix(t: Time, state: State, scene: Scene, operator: MobilityOperator) -> A
     return jnp.concatenate([rest[:first], jnp.pad(middle, ((0, 0), (first, 0)))])
 
 
-Product = Callable[[Array], Array]
+Compliance = Callable[[Array], Array]
 
 
 class Factorised(NamedTuple):
@@ -129,7 +129,7 @@ class Factorised(NamedTuple):
     regular: Array
     """Whether the rows of J are independent."""
 
-    def solve(self, _: Product, rhs: Array) -> Array:
+    def solve(self, _: Compliance, rhs: Array) -> Array:
         """S^-1 rhs; NaN where S is singular."""
         return cholesky_solve(self.factor, jnp.where(self.regular, rhs, jnp.nan))
 
@@ -145,7 +145,7 @@ class Iterations(eqx.Module):
     place: tuple[int, int] = eqx.field(static=True)
     """Rows of the chain constraint, from and to."""
 
-    def solve(self, product: Product, rhs: Array) -> Array:
+    def solve(self, product: Compliance, rhs: Array) -> Array:
         """S^-1 rhs; NaN where the iterations do not converge."""
         return conjugate_gradients(product, rhs, self.precondition).solution
 
@@ -163,7 +163,7 @@ class Iterations(eqx.Module):
         return jnp.concatenate([others[:first], chained, others[first:]])
 
 
-def _factorised(t: Time, state: State, scene: Scene, operator: MobilityOperator) -> Factorised:
+def _factorised(t: Time, state: State, scene: Scene, operator: Product) -> Factorised:
     s = matrix(t, state, scene, operator)
     factor, positive = cholesky(s)
     # A row that depends on those before it leaves a pivot of rounding size, or none.
@@ -172,8 +172,9 @@ def _factorised(t: Time, state: State, scene: Scene, operator: MobilityOperator)
     return Factorised(factor, regular & positive)
 
 
-def _iterations(t: Time, state: State, scene: Scene, operator: MatrixFree) -> Iterations:
-    windows, j = Windows(state, operator, scene.chain), constraint_map(t, state, scene)
+def _iterations(t: Time, state: State, scene: Scene) -> Iterations:
+    windows = Windows(state, scene.operator(state), scene.chain)
+    j = constraint_map(t, state, scene)
     still, rows = zero_motion(state, scene.rotational), len(j.offset)
     constraint, first = _chained(t, state, scene) if scene.chain.beads > 1 else (None, 0)
     banded, last = None, first
@@ -206,7 +207,7 @@ def _iterations(t: Time, state: State, scene: Scene, operator: MatrixFree) -> It
 class SaddlePoint(NamedTuple):
     """The saddle-point system of one instant, ready to be solved."""
 
-    operator: MobilityOperator
+    operator: Product
     constraints: ConstraintMap
     solver: Factorised | Iterations
 
@@ -230,14 +231,8 @@ class SaddlePoint(NamedTuple):
         return Evaluation(add_motions(free, self.pulled(multipliers)), multipliers)
 
 
-def mobility_operator(state: State, scene: Scene) -> MobilityOperator:
-    radius, viscosity = scene.chain.radius, scene.viscosity
-    return scene.mobility.operator(state.position, radius, viscosity, scene.rotational)
-
-
-def saddle_point(t: Time, state: State, scene: Scene, operator: MobilityOperator) -> SaddlePoint:
+def saddle_point(t: Time, state: State, scene: Scene, operator: Product) -> SaddlePoint:
     held = lax.stop_gradient(operator)
     instant = lax.stop_gradient((t, state, scene))
-    free = isinstance(held, MatrixFree)
-    solver = _iterations(*instant, held) if free else _factorised(*instant, held)
+    solver = _factorised(*instant, held) if scene.dense else _iterations(*instant)
     return SaddlePoint(operator, constraint_map(t, state, scene), solver)

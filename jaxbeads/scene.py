@@ -8,18 +8,17 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
-from ._checks import described, fail, finite, kind, known, positive, shape
-from ._typing import float_array
-from .chain import Chain
+from ._checks import described, fail, finite, kind, known
 from .coincidence import overlaid
 from .constraint import AbstractConstraint, Joint
 from .flow import AbstractFlow
 from .force import AbstractForce, Bending, BendingEnergy, JointBending
 from .frames import framed
 from .geometry import smallest_gap
-from .mobility import RPY, AbstractMobility
+from .mobility import RPY, AbstractMobility, Operator
+from .setting import Setting
 from .state import State
 
 _UNIT = 0.01
@@ -30,7 +29,7 @@ def _terms(terms: Any) -> Any:
     return tuple(terms) if isinstance(terms, Iterable) else terms  # else refused below, by name
 
 
-class Scene(eqx.Module):
+class Scene(Setting):
     """Beads in a viscous fluid, with what acts on them. Every number in it is a leaf.
 
     **Arguments**
@@ -40,23 +39,19 @@ class Scene(eqx.Module):
     - `mobility`: hydrodynamics; `RPY()` by default.
     - `constraints`, `forces`: any number of terms.
     - `flow`: ambient flow, or `None` for a quiescent fluid.
+    - `domain`: the space that fluid and beads are in; unbounded by default.
 
     A term that is absent costs nothing: without spins in any term the mobility has none.
 
     **Raises** `ValueError` for a viscosity that is not positive and terms of the wrong kind.
     """
 
-    chain: Chain
-    viscosity: Float[Array, ""] = eqx.field(converter=float_array)
     mobility: AbstractMobility = RPY()
     constraints: tuple[AbstractConstraint, ...] = eqx.field(converter=_terms, default=())
     forces: tuple[AbstractForce, ...] = eqx.field(converter=_terms, default=())
     flow: AbstractFlow | None = None
 
     def __check_init__(self) -> None:
-        shape("viscosity", self.viscosity, ())
-        positive("viscosity", self.viscosity)
-        kind("chain", self.chain, Chain)
         kind("mobility", self.mobility, AbstractMobility)
         if self.flow is not None:
             kind("flow", self.flow, AbstractFlow)
@@ -72,6 +67,15 @@ class Scene(eqx.Module):
     def oriented(self) -> bool:
         """Whether directors take part, which any one term may ask for."""
         return any(term.oriented for term in (*self.constraints, *self.forces))
+
+    @property
+    def dense(self) -> bool:
+        """Whether multipliers are found by a factorisation, which implicit solvers need."""
+        return self.mobility.is_dense(self.chain.beads)
+
+    def operator(self, state: State) -> Operator:
+        """The mobility of the beads where they are."""
+        return self.mobility.operator(self.configuration(state, self.rotational))
 
     def begin(self, state: State) -> State:
         """A state with all that the terms need: normals of its fibres, where a drive acts along them."""
@@ -165,6 +169,9 @@ def check(
         _check_range(scene)
     for term in (*scene.constraints, *scene.forces):
         term.check(chain, dim)
+    scene.domain.check(dim)
+    scene.mobility.check(scene.domain, dim)
+    _check_inside(scene, position)
     jointed = any(isinstance(c, Joint) for c in scene.constraints)
     for force in scene.forces:
         if isinstance(force, Bending) and jointed:
@@ -181,10 +188,26 @@ def check(
             fail("state", "hold no bond in the place of another", how)
     if not overlap and numbers and beads > 1:
         radii = np.broadcast_to(np.asarray(chain.radius), beads)
-        gap, i, j = smallest_gap(np.asarray(position), radii)
+        gap, i, j = smallest_gap(np.asarray(position), radii, scene.domain)
         if gap < -0.01 * radii.min():
             must = "hold no overlapping beads in this scene"
             fail("state", must, f"beads {i} and {j} overlap by {-gap:.3g}")
+
+
+def _check_inside(scene: Scene, position: Array) -> None:
+    """Refuse beads that are beyond the boundary of the domain."""
+    clearance = scene.domain.clearance(position, scene.chain.radius)
+    if clearance is None or not known(clearance):
+        return
+    beyond, radii = np.asarray(clearance), np.asarray(scene.chain.radii)
+    if np.any(beyond < -radii):
+        bead = int(np.argmin(beyond + radii))
+        must = f"hold beads within the domain {type(scene.domain).__name__}"
+        fail(
+            "state",
+            must,
+            f"the centre of bead {bead} lies {-beyond[bead] - radii[bead]:.3g} outside",
+        )
 
 
 def _warn_of_loose_fibres(scene: Scene) -> None:

@@ -14,7 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .pairs import CROSS, Field, PairTensor, Radii, Signed, Table, in_radii
+from .configuration import Configuration
+from .pairs import CROSS, Field, PairTensor, Radii, Signed, Table
 from .state import Load, Motion, spins
 
 
@@ -151,29 +152,23 @@ def _coefficients(
     return _Scalars(tt1, tt2, tr, tr if k.rt is k.tr else rt, rr1, rr2)
 
 
-def rpy(
-    position: Float[Array, "beads dim"],
-    radius: Float[Array, ""] | Float[Array, " beads"],
-    viscosity: Float[Array, ""],
-    rotational: bool,
-) -> PairTensor:
+def rpy(configuration: Configuration) -> PairTensor:
     """Rotne-Prager-Yamakawa mobility of spheres, separate or overlapping.
 
     With d = r_i - r_j: v_i = (tt1 I + tt2 d d) F_j + tr T_j x d and w_i = rt F_j x d +
     (rr1 I + rr2 d d) T_j, positive definite in every configuration.
 
-    **Arguments**: positions [length]; radius, one or one per bead; viscosity [force time/length^2];
-    whether spins and torques take part. **Returns** a `PairTensor`.
+    **Returns** a `PairTensor`, of translation alone where spins take no part.
 
     References: Wajnryb, Mizerski, Zuk & Szymczak, J. Fluid Mech. 731 (2013) R3 (equal radii); Zuk,
     Wajnryb, Mizerski & Szymczak, J. Fluid Mech. 741 (2014) R5 (unequal radii).
     """
-    unit = in_radii(position, radius)
-    vector, radii = unit.pairs()
-    k = _coefficients(vector, radii, unit.length, viscosity)
+    scaled = configuration.scaled
+    vector, radii = scaled.pairs()
+    k = _coefficients(vector, radii, scaled.length, configuration.viscosity)
     dim, turns = len(vector), spins(len(vector))
     tt = _dyads(k.tt1, k.tt2, vector)
-    if not rotational:
+    if not configuration.rotational:
         return PairTensor(tt)
     push = [k.tr * d for d in vector]
     twist = push if k.rt is k.tr else [k.rt * d for d in vector]
@@ -185,27 +180,22 @@ def rpy(
     return PairTensor(tt, tuple(map(tuple, tr)), tuple(map(tuple, rt)), rr)
 
 
-def rpy_motion(
-    position: Float[Array, "beads dim"],
-    radius: Float[Array, ""] | Float[Array, " beads"],
-    viscosity: Float[Array, ""],
-    rotational: bool,
-    load: Load,
-) -> Motion:
+def rpy_motion(configuration: Configuration, load: Load) -> Motion:
     """M F as `rpy(...).motion(load)`, but pair by pair: no field outlives the sum that it goes into, and
-    derivatives need no outer products. Memory grows like the number of beads (see `pair_sums`).
-
-    **Arguments**: as for `rpy`; loads. **Returns** a `Motion`.
-    """
-
-    unit = in_radii(position, radius)
+    derivatives need no outer products. Memory grows like the number of beads (see `pair_sums`)."""
+    scaled, rotational = configuration.scaled, configuration.rotational
 
     def fields(vector: list[Field], radii: Radii | None) -> tuple[Field, ...]:
-        return _pushed(vector, radii, unit.length, viscosity, rotational, load)
+        return _pushed(vector, radii, scaled.length, configuration.viscosity, rotational, load)
 
-    sums, dim = unit.sums(fields), position.shape[1]
-    velocity = jnp.stack(sums[:dim], axis=1)
-    return Motion(velocity, jnp.stack(sums[dim:], axis=1) if rotational else None)
+    return _motion(scaled.sums(fields), configuration)
+
+
+def _motion(sums: list[Array], configuration: Configuration) -> Motion:
+    """Components of velocities, and of spins where they take part, on the last axis."""
+    dim = configuration.dim
+    velocity = jnp.stack(sums[:dim], axis=-1)
+    return Motion(velocity, jnp.stack(sums[dim:], axis=-1) if configuration.rotational else None)
 
 
 def _pushed(
@@ -284,29 +274,24 @@ def _strain_unequal(s: _Separation, a: Array, b: Array) -> tuple[Array, Array, A
 
 
 def shear_disturbance(
-    position: Float[Array, "beads dim"],
-    radius: Float[Array, ""] | Float[Array, " beads"],
-    strain_rate: Float[Array, "*beads dim dim"],
-    rotational: bool,
+    configuration: Configuration, strain_rate: Float[Array, "*beads dim dim"]
 ) -> Motion:
     """C : E, the motion that freely suspended spheres induce on one another in a straining flow.
 
     With d = r_i - r_j and the strain rate E_j at sphere j: v_i = c1 E_j.d + c2 (d.E_j.d) d and
     w_i = cr (E_j.d) x d, summed over j.
 
-    **Arguments**: positions; radius; rate of strain [1/time], one tensor `(dim, dim)` for all beads
-    or one for each, `(beads, dim, dim)`; whether spins take part. **Returns** a `Motion`.
+    **Arguments**: configuration; rate of strain [1/time], one tensor `(dim, dim)` for all beads or one
+    for each, `(beads, dim, dim)`.
 
     Reference: Wajnryb et al., J. Fluid Mech. 731 (2013) R3; Zuk et al., ibid. 741 (2014) R5.
     """
-    dim, unit = position.shape[1], in_radii(position, radius)
+    scaled = configuration.scaled
 
     def fields(vector: list[Field], radii: Radii | None) -> tuple[Field, ...]:
-        return _disturbance(vector, radii, unit.length, strain_rate, rotational)
+        return _disturbance(vector, radii, scaled.length, strain_rate, configuration.rotational)
 
-    sums = unit.sums(fields)
-    velocity = jnp.stack(sums[:dim], axis=1)
-    return Motion(velocity, jnp.stack(sums[dim:], axis=1) if rotational else None)
+    return _motion(scaled.sums(fields), configuration)
 
 
 def _disturbance(
@@ -337,10 +322,7 @@ def _disturbance(
 
 
 def rpy_gradient(
-    position: Float[Array, "beads dim"],
-    radius: Float[Array, ""] | Float[Array, " beads"],
-    viscosity: Float[Array, ""],
-    rotational: bool,
+    configuration: Configuration,
     load: Load,
     strain: Callable[[Array], Array] | None,
     shifts: Float[Array, "shifts beads dim"],
@@ -350,12 +332,13 @@ def rpy_gradient(
     What bead j does to bead i depends on their separation d; its derivative by d, found for each pair
     once, is taken times s_i - s_j for a shift s and summed over j.
 
-    **Arguments**: as for `rpy`; loads; rate of strain as a function of positions (see
+    **Arguments**: configuration; loads; rate of strain as a function of positions (see
     `shear_disturbance`) or `None`; shifts [length]. **Returns** motions, a leading axis of shifts.
     """
-    dim, unit = position.shape[1], in_radii(position, radius)
-    vectors, radii = unit.pairs()
-    length, shifts = unit.length, shifts / unit.length
+    position, dim, scaled = configuration.position, configuration.dim, configuration.scaled
+    vectors, radii = scaled.pairs()
+    length, shifts = scaled.length, shifts / scaled.length
+    viscosity, rotational = configuration.viscosity, configuration.rotational
     loaded = load.force is not None or load.torque is not None
 
     def pairs(vector: list[Field], rate: Array | None) -> tuple[Field, ...]:
@@ -381,5 +364,4 @@ def rpy_gradient(
         jnp.einsum("sic,ci->si", shifts, o) - jnp.einsum("sjc,cij->si", shifts, f)
         for o, f in zip(own, slopes, strict=True)
     ]
-    velocity = jnp.stack(total[:dim], axis=2)
-    return Motion(velocity, jnp.stack(total[dim:], axis=2) if rotational else None)
+    return _motion(total, configuration)

@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 from .chain import Chain
 from .constraint import AbstractChainConstraint
 from .factors import cholesky, inverse_of_triangle, symmetric
-from .mobility import MatrixFree
+from .mobility import Operator
 from .state import Load, Motion, State
 
 HALF = 32
@@ -70,7 +70,7 @@ class Windows(NamedTuple):
     """M' of one configuration."""
 
     state: State
-    operator: MatrixFree
+    operator: Operator
     chain: Chain
 
     @property
@@ -95,7 +95,7 @@ class Windows(NamedTuple):
         def one(beads: Array, weights: Array) -> tuple[Array, Motion]:
             w = weights[:, None]
             part = jax.tree.map(lambda x: w * x[beads], load)
-            return beads, jax.tree.map(lambda v: w * v, self.operator.among(beads).motion(part))
+            return beads, jax.tree.map(lambda v: w * v, self.operator.some(beads).motion(part))
 
         beads, moved = self.each(one)
         return jax.tree.map(lambda v, part: v.at[beads].add(part), still, moved)
@@ -107,7 +107,7 @@ class Windows(NamedTuple):
 
         def block(beads: Array, weights: Array) -> Array:
             tensor = jax.tree.map(
-                lambda f: f * (weights[:, None] * weights[None, :]), self.operator.among(beads)
+                lambda f: f * (weights[:, None] * weights[None, :]), self.operator.some(beads)
             )
             radius = chain.radius if chain.radius.ndim == 0 else chain.radius[beads]
             part = Chain(radius, len(beads), chain.gap)

@@ -136,7 +136,7 @@ class MagneticTorque(AbstractForce):
     strength: jax.Array = eqx.field(converter=number)  # m B [force length]
     rate: jax.Array = eqx.field(converter=number)  # omega [1/time]
 
-    def load(self, t, state, chain):
+    def load(self, t, state, scene):
         field = jnp.stack([jnp.cos(self.rate * t), jnp.sin(self.rate * t)])
         return jb.Load(torque=self.strength * cross(state.director, field))
 
@@ -229,7 +229,7 @@ class Trap(AbstractPotential):
     stiffness: jax.Array = eqx.field(converter=number)  # k [force / length]
     centre: jax.Array = eqx.field(converter=number)  # c [length]
 
-    def energy(self, t, state, chain):
+    def energy(self, t, state, scene):
         return 0.5 * self.stiffness * jnp.sum((state.position[0] - self.centre) ** 2)
 
 
@@ -331,41 +331,27 @@ plt.show()
 # %% [markdown]
 # ## A mobility: drag along and across the fibre
 #
-# A mobility gives an operator, any `equinox` module with a method `motion` that turns loads into
-# velocities. It must be symmetric and positive definite. Resistive-force theory lets every bead
+# A mobility has a method `motion` that turns loads into velocities of the spheres of a
+# configuration. It must be symmetric and positive definite. Resistive-force theory lets every bead
 # feel only its own drag, $\zeta_\perp = 6 \pi \mu a$ across the fibre and $\zeta_\perp / q$ along
 # it:
 # $$ v_i = \frac{1}{\zeta_\perp} \left[ I + (q - 1)\, e_i e_i \right] F_i . $$
 
 
 # %%
-class LocalDrag(eqx.Module):
-    """The operator at one configuration."""
-
-    isotropic: eqx.Module  # 1/(6 pi mu a) and 1/(8 pi mu a^3) for each bead
-    tangent: jax.Array  # of the fibre at each bead
-    ratio: jax.Array  # q
-
-    def motion(self, load):
-        if load.force is None:
-            return self.isotropic.motion(load)
-        along = jnp.sum(self.tangent * load.force, axis=1, keepdims=True) * self.tangent
-        return self.isotropic.motion(jb.Load(load.force + (self.ratio - 1) * along, load.torque))
-
-
 class ResistiveForce(AbstractMobility):
     """Resistive-force theory for one fibre."""
 
     ratio: jax.Array = eqx.field(converter=number)  # q, friction across over friction along
 
-    def operator(self, position, radius, viscosity, rotational):
-        free = FreeDraining().operator(position, radius, viscosity, rotational)
-        e = tangents(position)
-        e = unit(jnp.concatenate([e[:1], e[:-1] + e[1:], e[-1:]]))
-        return LocalDrag(free, e, self.ratio)
-
-    def shear_disturbance(self, position, radius, strain_rate, rotational):
-        return None  # beads do not see one another
+    def motion(self, configuration, load):
+        force = load.force
+        if force is not None:
+            e = tangents(configuration.position)
+            e = unit(jnp.concatenate([e[:1], e[:-1] + e[1:], e[-1:]]))  # at each bead
+            along = jnp.sum(e * force, axis=1, keepdims=True) * e
+            force = force + (self.ratio - 1) * along
+        return FreeDraining().motion(configuration, jb.Load(force, load.torque))
 
 
 # %% [markdown]
@@ -412,7 +398,7 @@ for name, mobility, q in (("local drag", ResistiveForce(2.0), 2.0), ("RPY", RPY(
 
 # M column by column: symmetric and positive definite.
 curved = jb.State(x[30])
-operator = ResistiveForce(2.0).operator(curved.position, chain.radius, number(1.0), True)
+operator = ResistiveForce(2.0).operator(jb.Configuration(curved.position, 1.0, 1.0))
 columns = [
     operator.motion(jb.Load(f, jnp.zeros((10, 1)))).velocity for f in np.eye(20).reshape(20, 10, 2)
 ]

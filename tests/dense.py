@@ -22,9 +22,7 @@ def dense_motion(t, state, scene):
         parts = jnp.split(jnp.asarray(vector), np.cumsum(sizes)[:-1])
         return [p.reshape(beads, -1) for p in parts]
 
-    operator = scene.mobility.operator(
-        state.position, scene.chain.radius, scene.viscosity, scene.rotational
-    )
+    operator = scene.operator(state)
     mobility = np.stack(
         [flat(operator.motion(Load(*unflat(unit)))) for unit in np.eye(sum(sizes))], axis=1
     )

@@ -10,7 +10,7 @@ import pytest
 from cases import CONSTRAINTS, FLOWS, FORCES, MOBILITIES, bent, jointed, name, scene, spatial
 from dense import dense_motion, flat
 
-from jaxbeads import Chain, Load, Scene, State, dynamics, from_tangents, straight
+from jaxbeads import Chain, Load, Scene, Setting, State, dynamics, from_tangents, straight
 from jaxbeads.actuation import TravellingWave, TwoPlanes
 from jaxbeads.constraint import (
     AbstractChainConstraint,
@@ -31,7 +31,6 @@ from jaxbeads.force import (
     Weight,
 )
 from jaxbeads.mobility import RPY, AbstractMobility
-from jaxbeads.pairs import PairTensor
 
 RADII = [1.0, np.linspace(0.7, 1.2, 9)]
 FIBRES = [9, (4, 5), (2, 1, 3, 3)]
@@ -100,7 +99,7 @@ def test_the_chain_constraint_stands_anywhere(dim, place):
     parts = [*others[:place], Gears(), *others[place:]]
     forces = [Weight([0.1, -1.0, 0.3][:dim]), Bending(3.0)]
     model = Scene(chain, 1.0, constraints=parts, forces=forces)
-    operator = RPY().operator(state.position, chain.radius, model.viscosity, True)
+    operator = RPY().operator(model.configuration(state, True)).kept()
     j = dynamics.constraint_map(0.0, state, model)
     now, moved = jnp.zeros(()), dynamics.motion(0.0, state, model)
     sizes = [c.slip(now, state, moved, chain).size for c in parts]
@@ -126,7 +125,7 @@ def test_direct_assembly_equals_assembly_by_columns(dim, fibres):
     chain = Chain(np.linspace(0.8, 1.1, 8), fibres)
     state = bent(chain, dim)
     model = scene(chain, dim)
-    operator = RPY().operator(state.position, chain.radius, model.viscosity, True)
+    operator = RPY().operator(model.configuration(state, True)).kept()
     parts = dynamics.constraint_map(0.0, state, model)
     rows = dim * 7
     columns = np.stack([parts.compliance(operator, jnp.asarray(u)) for u in np.eye(rows)], axis=1)
@@ -168,11 +167,11 @@ def test_constraint_and_internal_loads_balance(dim):
     chain = Chain(1.0, (4, 6))
     state = bent(chain, dim, centre=[[0.0] * dim, [7.0] * dim])
     model = scene(chain, dim)
-    bending = Bending(30.0).load(jnp.zeros(()), state, chain)
+    bending = Bending(30.0).load(jnp.zeros(()), state, Setting(chain, 1.0))
     assert np.abs(np.sum(bending.torque, axis=0)).max() < 1e-12 * np.abs(bending.torque).max()
     for load in (
         dynamics.constraint_load(0.0, state, model),
-        BendingEnergy(30.0).load(jnp.zeros(()), state, chain),
+        BendingEnergy(30.0).load(jnp.zeros(()), state, Setting(chain, 1.0)),
     ):
         force = np.asarray(load.force)
         assert np.abs(force.sum(0)).max() < 1e-12 * np.abs(force).max()
@@ -210,23 +209,15 @@ def test_a_users_affine_constraint(dim):
     assert np.abs(flat(dynamics.motion(0.4, state, swapped)) - flat(moved)).max() < 1e-12
 
 
-class Hidden(eqx.Module):
-    """A mobility of which only the product with loads is known."""
-
-    inner: PairTensor
-
-    def motion(self, load):
-        return self.inner.motion(load)
-
-
 class Slow(AbstractMobility):
-    """A user's mobility: RPY at half speed, known only as an operator."""
+    """A user's mobility: RPY at half speed, of which only the product with loads is known."""
 
-    def operator(self, position, radius, viscosity, rotational):
-        return Hidden(RPY().operator(position, radius, 2 * viscosity, rotational))
+    def motion(self, configuration, load):
+        slow = eqx.tree_at(lambda c: c.viscosity, configuration, 2 * configuration.viscosity)
+        return RPY().motion(slow, load)
 
-    def shear_disturbance(self, position, radius, strain_rate, rotational):
-        return RPY().shear_disturbance(position, radius, strain_rate, rotational)
+    def disturbance(self, configuration, strain_rate):
+        return RPY().disturbance(configuration, strain_rate)
 
 
 def test_a_users_mobility_without_pair_tensor():
@@ -363,11 +354,12 @@ def test_a_scene_pays_only_for_what_it_models():
     bare = scene(chain, flow=False)
 
     def by_hand(state, radius, gap, viscosity, weight, rigidity, curvature):
-        operator, t = RPY().operator(state.position, radius, viscosity, True), jnp.zeros(())
+        spheres, t = jb.Configuration(state.position, radius, viscosity), jnp.zeros(())
+        operator = RPY().operator(spheres).kept()
         held = Scene(Chain(radius, 8, gap), viscosity, constraints=[Gears()])
         weight, bending = Weight(weight), Bending(rigidity, curvature)
-        torque = bending.load(t, state, held.chain).torque
-        load = Load(weight.load(t, state, held.chain).force, torque)
+        torque = bending.load(t, state, held).torque
+        load = Load(weight.load(t, state, held).force, torque)
         free = operator.motion(load)
         parts = dynamics.constraint_map(0.0, state, held)
         matrix = Gears().assemble(t, state, operator, held.chain).T

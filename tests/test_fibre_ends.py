@@ -13,6 +13,7 @@ import pytest
 from jaxbeads import (
     Chain,
     Scene,
+    Setting,
     State,
     check,
     dynamics,
@@ -139,7 +140,7 @@ def test_what_is_given_between_fibres_has_no_effect(kind):
 
     def loads(values):
         made = kind(values) if kind is DrivingMoment else kind(3.0, values)
-        return jax.tree.leaves(made.load(jnp.zeros(()), state, chain))
+        return jax.tree.leaves(made.load(jnp.zeros(()), state, Setting(chain, 1.0)))
 
     for given in (numbers, wave):
         inner = numbers[~chain.joint_mask]
@@ -278,7 +279,7 @@ class Tether(AbstractPotential):
     rotational: ClassVar[bool] = False
     links: ClassVar[bool] = True
 
-    def energy(self, t, state, chain):
+    def energy(self, t, state, scene):
         return jnp.sum((bond_lengths(state.position) - 2.0) ** 2)
 
 

@@ -11,7 +11,7 @@ import pytest
 from cases import bent, jointed, scene
 
 import jaxbeads as jb
-from jaxbeads import Chain, Load, Scene, dynamics, saddle, tensors
+from jaxbeads import Chain, Configuration, Load, Scene, Setting, dynamics, saddle, tensors
 from jaxbeads.constraint import (
     EqualSpins,
     Gears,
@@ -57,17 +57,18 @@ def test_pairs_in_blocks_are_those_at_once():
     load = Load(jnp.asarray(rng.normal(size=(beads, 3))), jnp.asarray(rng.normal(size=(beads, 3))))
     strain = jnp.asarray(np.diag([1.0, 0.5, -1.5]))
     for radius in (jnp.asarray(0.9), jnp.asarray(rng.uniform(0.5, 1.5, beads))):
-        moved = jax.jit(tensors.rpy_motion, static_argnums=3)(x, radius, 1.0 * TIME, True, load)
-        whole = tensors.rpy(x, radius, 1.0 * TIME, True).motion(load)
+        spheres = Configuration(x, radius, 1.0 * TIME)
+        moved = jax.jit(tensors.rpy_motion)(spheres, load)
+        whole = tensors.rpy(spheres).motion(load)
         for a, b in zip(jax.tree.leaves(moved), jax.tree.leaves(whole), strict=True):
             assert np.abs(a - b).max() < 1e-13 * np.abs(b).max()
         # The strain of the first and of the last beads alone, and of all.
         first = np.arange(beads)[:, None, None] < 100
         parts = [
-            tensors.shear_disturbance(x, radius, jnp.asarray(there * strain[None]), True)
+            tensors.shear_disturbance(spheres, jnp.asarray(there * strain[None]))
             for there in (first, ~first)
         ]
-        both = tensors.shear_disturbance(x, radius, strain, True)
+        both = tensors.shear_disturbance(spheres, strain)
         for a, b, c in zip(*map(jax.tree.leaves, (*parts, both)), strict=True):
             assert np.abs(a + b - c).max() < 1e-12 * np.abs(c).max()
 
@@ -136,7 +137,7 @@ def test_iterations_find_what_a_factorisation_finds(case):
 
 @eqx.filter_jit
 def iterations(state, scene):
-    operator = saddle.mobility_operator(state, scene)
+    operator = scene.operator(state).kept()
     system = saddle.saddle_point(TIME, state, scene, operator)
     j, free = system.constraints, free_motion(TIME, state, scene, operator)
     precondition = system.solver.precondition
@@ -236,7 +237,7 @@ def test_contact_and_the_smallest_gap_in_blocks():
     other = (abs(i[:, None] - i) > 1) | (fibre[:, None] != fibre)
     push = np.where(other, np.asarray(repulsion(*map(jnp.asarray, (apart - 2, 2.5, 1.0)))), 0.0)
     expected = 5 * (push / (apart + np.eye(400)))[:, :, None] * d
-    force = np.asarray(Contact(5.0, 2.5, 1.0).load(TIME, state, chain).force)
+    force = np.asarray(Contact(5.0, 2.5, 1.0).load(TIME, state, Setting(chain, 1.0)).force)
     assert np.abs(force).max() > 0.1
     assert np.abs(force - expected.sum(1)).max() < 1e-12 * np.abs(force).max()
 

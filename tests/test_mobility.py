@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from sphere_average import mobility_motion
 
-from jaxbeads import Load, tensors
+from jaxbeads import Configuration, Load, tensors
 from jaxbeads.mobility import RPY
 
 with warnings.catch_warnings():
@@ -20,14 +20,14 @@ with warnings.catch_warnings():
     warnings.filterwarnings("ignore", ".*invalid escape sequence")
     import pygrpy.grpy_tensors
 
-ONE = jnp.asarray(1.0)
-
 
 def motion(mobility, position, radius, load, viscosity=1.0, rotational=True):
-    operator = mobility.operator(
-        jnp.asarray(position), jnp.asarray(radius), jnp.asarray(viscosity), rotational
-    )
-    return operator.motion(load)
+    spheres = Configuration(position, radius, viscosity, rotational)
+    return mobility.operator(spheres).kept().motion(load)
+
+
+def carried_by(position, radius, strain):
+    return tensors.shear_disturbance(Configuration(position, radius, 1.0), strain)
 
 
 def dense(mobility, position, radius, viscosity=1.0):
@@ -63,7 +63,7 @@ def test_the_form_that_is_differentiated_is_the_same_motion(given, dim, equal):
     radius = jnp.asarray(1.3) if equal else jnp.asarray(rng.uniform(0.3, 2.0, 6))
     force, torque = jnp.asarray(rng.normal(size=(6, dim))), jnp.asarray(rng.normal(size=(6, turns)))
     load = Load(None if given == "torque" else force, None if given == "force" else torque)
-    one = RPY().motion(position, radius, jnp.asarray(1.7), True, load)
+    one = RPY().motion(Configuration(position, radius, 1.7), load)
     two = motion(RPY(), position, radius, load, 1.7)
     for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(two), strict=True):
         assert np.abs(a - b).max() < 1e-14
@@ -81,9 +81,7 @@ def test_matches_quadrature_of_the_definition(seed, equal):
     given_radius = jnp.asarray(1.3) if equal else jnp.asarray(radius)
     load = Load(jnp.asarray(force), jnp.asarray(torque))
     moved = motion(RPY(), position, given_radius, load, 0.7)
-    carried = tensors.shear_disturbance(
-        jnp.asarray(position), given_radius, jnp.asarray(strain), True
-    )
+    carried = carried_by(position, given_radius, jnp.asarray(strain))
     velocity, spin = mobility_motion(position, radius, 0.7, force, torque, strain)
     scale = np.abs(velocity).max(), np.abs(spin).max()
     assert np.abs(moved.velocity + carried.velocity - velocity).max() < 1e-11 * scale[0]
@@ -118,7 +116,7 @@ def test_symmetric_and_positive_definite(mobility):
         lambda position, radius: jax.vmap(
             lambda f: jnp.concatenate(
                 jax.tree.leaves(
-                    mobility.operator(position, radius, ONE, True).motion(Load(f[:, :3], f[:, 3:]))
+                    mobility.motion(Configuration(position, radius, 1.0), Load(f[:, :3], f[:, 3:]))
                 ),
                 axis=1,
             ).ravel()
@@ -180,10 +178,8 @@ def test_planar_is_a_part_of_spatial(equal):
     assert np.abs(flat.velocity - full.velocity[:, :2]).max() < 1e-15
     assert np.abs(flat.spin - full.spin[:, 2:]).max() < 1e-15
     assert np.abs(full.velocity[:, 2]).max() == 0
-    flat = tensors.shear_disturbance(jnp.asarray(planar), radius, strain, True)
-    full = tensors.shear_disturbance(
-        jnp.asarray(spatial), radius, jnp.pad(strain, ((0, 1), (0, 1))), True
-    )
+    flat = carried_by(planar, radius, strain)
+    full = carried_by(spatial, radius, jnp.pad(strain, ((0, 1), (0, 1))))
     assert np.abs(flat.velocity - full.velocity[:, :2]).max() < 1e-14
     assert np.abs(flat.spin - full.spin[:, 2:]).max() < 1e-14
 
@@ -203,17 +199,17 @@ def test_strain_at_each_bead_equals_the_sum_over_sources():
     strains = strains + strains.transpose(0, 2, 1)
     position = jnp.asarray(position)
     for radius in (jnp.asarray(0.7), jnp.asarray(rng.uniform(0.3, 1.5, 6))):
-        whole = tensors.shear_disturbance(position, radius, jnp.asarray(strains), True)
+        whole = carried_by(position, radius, jnp.asarray(strains))
         parts = np.zeros((6, 3))
         for j in range(6):
             only = np.zeros_like(strains)
             only[j] = strains[j]
-            part = tensors.shear_disturbance(position, radius, jnp.asarray(only), True)
+            part = carried_by(position, radius, jnp.asarray(only))
             parts += np.asarray(part.velocity)
         assert np.abs(parts - whole.velocity).max() < 1e-13
         same = jnp.broadcast_to(jnp.asarray(strains[0]), (6, 3, 3))
-        one = tensors.shear_disturbance(position, radius, jnp.asarray(strains[0]), True)
-        each = tensors.shear_disturbance(position, radius, same, True)
+        one = carried_by(position, radius, jnp.asarray(strains[0]))
+        each = carried_by(position, radius, same)
         assert np.abs(one.spin - each.spin).max() < 1e-14
 
 
@@ -231,7 +227,7 @@ def test_derivatives_are_finite_and_right(kind, equal):
 
     def value(position, radius):
         moved = motion(RPY(), position, radius, load)
-        carried = tensors.shear_disturbance(position, radius, strain, True)
+        carried = carried_by(position, radius, strain)
         both = jnp.concatenate(
             [moved.velocity + carried.velocity, moved.spin + carried.spin], axis=1
         )

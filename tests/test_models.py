@@ -12,7 +12,17 @@ from cases import bent, jointed
 from dense import dense_motion, flat
 
 import jaxbeads as jb
-from jaxbeads import Chain, Scene, State, dynamics, from_directors, rollout, simulate, straight
+from jaxbeads import (
+    Chain,
+    Scene,
+    Setting,
+    State,
+    dynamics,
+    from_directors,
+    rollout,
+    simulate,
+    straight,
+)
 from jaxbeads.actuation import FourierCurvature, HelicalBeat, PlanarBeat, TravellingWave, TwoPlanes
 from jaxbeads.chain import linked, place
 from jaxbeads.constraint import (
@@ -67,7 +77,7 @@ def test_chains_with_gaps_match_dense_elimination(constraint, radius, dim):
     )
     # S by its own assembly against S by columns.
     parts = dynamics.constraint_map(0.0, state, scene)
-    operator = RPY().operator(state.position, chain.radius, scene.viscosity, True)
+    operator = RPY().operator(scene.configuration(state, True)).kept()
     units = np.eye(parts.offset.shape[0])
     columns = np.stack([parts.compliance(operator, jnp.asarray(u)) for u in units], axis=1)
     live = np.abs(columns).max(axis=0) > 0
@@ -177,7 +187,7 @@ def test_repulsion_of_neighbours_in_the_joint_model():
     angle = np.array([0.0, 0.0, 0.8])
     state = from_directors(chain, np.stack([np.cos(angle), np.sin(angle)], axis=1))
     with_it = JointBending(rigidity, repulsion=JointRepulsion(0.3, 0.5, 0.2, 0.25))
-    load = with_it.load(T0, state, chain)
+    load = with_it.load(T0, state, Setting(chain, 1.0))
     half = 1 + gap
     energy = rigidity * (np.sin(0.4) / half) ** 2
     scale = 0.3 + 0.5 * np.sqrt(rigidity * energy / (6 * half) ** 3)
@@ -254,7 +264,7 @@ def test_stiff_springs_become_an_inextensible_chain():
 def test_spring_force():
     chain = Chain(1.0, 3)
     x = jnp.array([[0.0, 0.0], [3.0, 0.0], [3.0, 1.5]])
-    load = Spring([2.0, 4.0]).load(T0, State(x), chain)
+    load = Spring([2.0, 4.0]).load(T0, State(x), Setting(chain, 1.0))
     assert np.allclose(load.force, [[2.0, 0.0], [-2.0, -2.0], [0.0, 2.0]], atol=1e-14)
 
 
@@ -461,7 +471,7 @@ def test_active_fibres_exert_no_net_load(model, wave, dim):
     state = jointed(chain, dim, centre=[[0.0] * dim, [9.0] * dim])
     force = Bending(20.0, wave) if model == "gears" else JointBending(20.0, wave)
     link = Gears() if model == "gears" else Joint()
-    torque = np.asarray(force.load(jnp.asarray(0.3), state, chain).torque)
+    torque = np.asarray(force.load(jnp.asarray(0.3), state, Setting(chain, 1.0)).torque)
     for part in (torque[:6], torque[6:]):  # in each fibre
         assert np.abs(part.sum(axis=0)).max() < 1e-12 * np.abs(torque).max()
     scene = Scene(chain, 1.0, constraints=[link], forces=[force])
@@ -517,7 +527,7 @@ def test_driving_moments_are_those_of_a_preferred_curvature(dim):
         return rigidity * wave(t, s, length)
 
     def torque(force):
-        return force.load(jnp.asarray(0.4), state, chain).torque
+        return force.load(jnp.asarray(0.4), state, Setting(chain, 1.0)).torque
 
     driven = torque(DrivingMoment(moment))
     difference = torque(Bending(rigidity, wave)) - torque(Bending(rigidity))
@@ -540,9 +550,9 @@ def test_follower_force_turns_with_the_fibre():
     chain = Chain(1.0, 5)
     state = bent(chain)
     e = np.asarray(tangents(state.position))
-    load = np.asarray(Follower(0.7).load(T0, state, chain).force)
+    load = np.asarray(Follower(0.7).load(T0, state, Setting(chain, 1.0)).force)
     assert np.allclose(load[-1], -0.7 * e[-1]) and not load[:-1].any()
-    load = np.asarray(Follower(0.7, end=0).load(T0, state, chain).force)
+    load = np.asarray(Follower(0.7, end=0).load(T0, state, Setting(chain, 1.0)).force)
     assert np.allclose(load[0], 0.7 * e[0]) and not load[1:].any()
 
 
@@ -566,7 +576,7 @@ def test_contact_forces_by_hand():
     # Beads 0-2 are one fibre folded so that 0 and 2 are close, 3 is another close to 2.
     chain = Chain(1.0, (3, 1))
     x = jnp.array([[0.0, 0.0], [1.0, 2.0], [2.1, 0.0], [4.05, 0.0]])
-    force = np.asarray(Contact(2.0, 0.2, 0.1).load(T0, State(x), chain).force)
+    force = np.asarray(Contact(2.0, 0.2, 0.1).load(T0, State(x), Setting(chain, 1.0)).force)
     near, over = 2 * (0.5 - 0.1 / 0.4), 2 * (0.5 + 0.05 / 0.4)
     assert np.allclose(force, [[-near, 0], [0, 0], [near - over, 0], [over, 0]], atol=1e-13)
     assert np.abs(force.sum(axis=0)).max() < 1e-14
@@ -577,7 +587,9 @@ def test_contact_is_finite_where_beads_coincide():
     crossed = straight(chain, np.eye(2))
 
     def size(position):
-        return jnp.sum(Contact(2.0, 0.2, 0.1).load(T0, State(position), chain).force ** 2)
+        return jnp.sum(
+            Contact(2.0, 0.2, 0.1).load(T0, State(position), Setting(chain, 1.0)).force ** 2
+        )
 
     value, slope = jax.value_and_grad(size)(crossed.position)
     assert np.isfinite(value) and np.all(np.isfinite(slope))
@@ -612,5 +624,5 @@ def test_absent_terms_cost_nothing():
     spinless = Scene(chain, 1.0, constraints=[Inextensible()], forces=[BendingEnergy(1.0)])
     assert size(touching) > size(plain) + 20
     assert not spinless.rotational
-    operator = FreeDraining().operator(state.position, chain.radius, plain.viscosity, False)
+    operator = FreeDraining().operator(plain.configuration(state, False))
     assert operator.motion(jb.Load(force=state.position)).spin is None

@@ -317,7 +317,7 @@ def test_directors_of_other_terms_stay_unit_vectors():
         oriented = True
         rotational = True
 
-        def load(self, t, state, chain):
+        def load(self, t, state, scene):
             return Load(force=state.director, torque=0.3 * jnp.ones_like(state.director))
 
     chain = Chain(1.0, 4)

@@ -9,6 +9,7 @@ from jaxbeads import (
     AB3,
     Chain,
     Scene,
+    Setting,
     State,
     check,
     dynamics,
@@ -100,11 +101,12 @@ def every(load):
 @SMALL
 def test_forces_act_where_there_is_something_to_act_on(fibres, dim):
     chain, state = beside(fibres, dim)
+    scene = Setting(chain, VISCOSITY)
     bent = any(n > 2 for n in chain.fibres)
     for force in forces(chain, dim):
         Scene(chain, 1.0, constraints=[Gears()], forces=[force])
         force.check(chain, dim)
-        loads, step = every(force.load(T0, state, chain)), force.explicit_step(chain, VISCOSITY)
+        loads, step = every(force.load(T0, state, scene)), force.explicit_step(scene)
         assert all(x.shape[0] == chain.beads and np.all(np.isfinite(x)) for x in loads)
         assert step > 0
         if isinstance(force, (Bending, BendingEnergy, DrivingMoment)) and not bent:
@@ -112,7 +114,7 @@ def test_forces_act_where_there_is_something_to_act_on(fibres, dim):
     chain, state = beside(fibres, dim, directors=True)
     for force in linked(chain):
         force.check(chain, dim)
-        loads, step = every(force.load(T0, state, chain)), force.explicit_step(chain, VISCOSITY)
+        loads, step = every(force.load(T0, state, scene)), force.explicit_step(scene)
         assert all(x.shape[0] == chain.beads and np.all(np.isfinite(x)) for x in loads)
         if all(n == 1 for n in chain.fibres):
             assert not any(np.any(x) for x in loads) and np.isinf(step)
@@ -122,6 +124,7 @@ def test_forces_act_where_there_is_something_to_act_on(fibres, dim):
 def test_limits_are_those_of_joints_and_bonds_that_exist(fibres, dim):
     # What is given for a place between two fibres has no effect on the step.
     chain, _ = beside(fibres, dim)
+    setting = Setting(chain, VISCOSITY)
     rigid = np.where(chain.joint_mask, 3.0, 1e9)
     stiff = np.where(chain.bond_mask, 2.0, 1e9)
     for kind, numbers, one in (
@@ -130,8 +133,8 @@ def test_limits_are_those_of_joints_and_bonds_that_exist(fibres, dim):
         (JointBending, stiff, 2.0),
         (Spring, stiff, 2.0),
     ):
-        each = kind(numbers).explicit_step(chain, VISCOSITY)
-        assert each == kind(one).explicit_step(chain, VISCOSITY)
+        each = kind(numbers).explicit_step(setting)
+        assert each == kind(one).explicit_step(setting)
 
 
 def constraints(chain, dim):
@@ -270,11 +273,11 @@ def test_joints_repel_by_the_rigidity_of_their_own_fibre():
     # F_0 = C_2 sqrt(K_b E_b / L^3), eqs (43)-(45), is a fibre's own.
     force = JointBending(5.0, 0.3, repulsion=JointRepulsion(0.0, 0.5, 1.0, 0.5))
     alone, one = beside(3, 2, directors=True)
-    expected = force.load(T0, one, alone)
+    expected = force.load(T0, one, Setting(alone, 1.0))
     chain, both = beside((3, 3), 2, directors=True)
     numbers = np.array([5.0, 5.0, 7e6, 2e5, 1e5])
     mixed = JointBending(numbers, 0.3, repulsion=JointRepulsion(0.0, 0.5, 1.0, 0.5))
-    found = mixed.load(T0, both, chain)
+    found = mixed.load(T0, both, Setting(chain, 1.0))
     assert np.abs(expected.force).max() > 1e-3
     np.testing.assert_allclose(found.force[:3], expected.force, rtol=1e-12, atol=1e-15)
     np.testing.assert_allclose(found.torque[:3], expected.torque, rtol=1e-12)

@@ -9,11 +9,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ..chain import Chain
+from ..setting import Setting
 from ..state import Load, State
 
 
 class AbstractForce(eqx.Module):
-    """Loads on the beads as a function of time and configuration."""
+    """Loads on the beads as a function of time and state; of the scene it reads chain, viscosity and
+    domain."""
 
     rotational: eqx.AbstractClassVar[bool]
     """Whether the load holds torques."""
@@ -28,13 +30,13 @@ class AbstractForce(eqx.Module):
     """Whether it keeps neighbours together, as springs do."""
 
     @abc.abstractmethod
-    def load(self, t: Float[Array, ""], state: State, chain: Chain) -> Load:
+    def load(self, t: Float[Array, ""], state: State, scene: Setting) -> Load:
         """Forces and torques on the beads."""
 
     def check(self, chain: Chain, dim: int) -> None:
         """Refuse a chain or a dimension that the force cannot serve, in one sentence."""
 
-    def passed(self, before: State, after: State, chain: Chain) -> Bool[Array, ""]:
+    def passed(self, before: State, after: State, scene: Setting) -> Bool[Array, ""]:
         """Whether beads that go straight from one state to another pass something that acts on them on
         the way, but at neither end: such a step is tried again with a smaller one."""
         return jnp.zeros((), bool)
@@ -43,7 +45,7 @@ class AbstractForce(eqx.Module):
         """Whether it acts along the normals of fibres in space, see `frames`."""
         return False
 
-    def explicit_step(self, chain: Chain, viscosity: Float[Array, ""]) -> Float[Array, ""]:
+    def explicit_step(self, scene: Setting) -> Float[Array, ""]:
         """Time step [time] that is safe for explicit solvers where this force is stiff: half of AB3's
         limit, 6/11 over the fastest rate, or less. Infinite unless a force knows better."""
         return jnp.asarray(jnp.inf)
@@ -55,14 +57,14 @@ class AbstractPotential(AbstractForce):
     rotational: eqx.AbstractClassVar[bool]
 
     @abc.abstractmethod
-    def energy(self, t: Float[Array, ""], state: State, chain: Chain) -> Float[Array, ""]:
+    def energy(self, t: Float[Array, ""], state: State, scene: Setting) -> Float[Array, ""]:
         """Energy of the configuration [force length]."""
 
-    def load(self, t: Float[Array, ""], state: State, chain: Chain) -> Load:
+    def load(self, t: Float[Array, ""], state: State, scene: Setting) -> Load:
         """F = -dE/dr."""
 
         def energy(position: Array) -> Array:
-            return self.energy(t, State(position, state.director, state.normal), chain)
+            return self.energy(t, State(position, state.director, state.normal), scene)
 
         return Load(force=-jax.grad(energy)(state.position))
 

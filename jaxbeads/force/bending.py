@@ -15,6 +15,7 @@ from .._functions import along
 from .._typing import float_array
 from ..chain import Chain
 from ..geometry import tangents, turning_angles
+from ..setting import Setting
 from ..state import Load, State
 from .base import AbstractForce, AbstractPotential
 from .curvature import (
@@ -52,12 +53,13 @@ def _framed(intrinsic: Curvature, chain: Chain) -> bool:
     return along_normals(intrinsic, chain.arclength[1:-1], chain.length[fibre])
 
 
-def _bending_step(rigidity: Array, chain: Chain, viscosity: Float[Array, ""]) -> Float[Array, ""]:
+def _bending_step(rigidity: Array, scene: Setting) -> Float[Array, ""]:
     """mu l^4 / K_b, l = 2 (a + eps_g), eq. (39); infinite without a joint."""
+    chain = scene.chain
     most = stiffest(rigidity, chain.joint_mask)
     square = (2 * jnp.min(chain.radius + chain.gap)) ** 2
     # Not l^4, which single precision may not hold.
-    step = viscosity * square / jnp.where(most == 0, 1.0, most) * square
+    step = scene.viscosity * square / jnp.where(most == 0, 1.0, most) * square
     return jnp.where(most == 0, jnp.inf, step)
 
 
@@ -123,8 +125,9 @@ class Bending(AbstractForce):
         m = moments(self.rigidity, self.law, e[:-1], e[1:], _joint_length(chain), rest)
         return m * chain.joint_mask[:, None]
 
-    def load(self, t: Float[Array, ""], state: State, chain: Chain) -> Load:
+    def load(self, t: Float[Array, ""], state: State, scene: Setting) -> Load:
         """Torques on the beads."""
+        chain = scene.chain
         if chain.beads < 3:
             return Load()
         return Load(torque=_torques(self.moments(t, state, chain), chain))
@@ -140,9 +143,9 @@ class Bending(AbstractForce):
         dtype = chain.radius.dtype
         along(f"{name}.intrinsic_curvature", self.intrinsic_curvature, joints, dim, dtype)
 
-    def explicit_step(self, chain: Chain, viscosity: Float[Array, ""]) -> Float[Array, ""]:
+    def explicit_step(self, scene: Setting) -> Float[Array, ""]:
         """The paper's step (39)."""
-        return _bending_step(self.rigidity, chain, viscosity)
+        return _bending_step(self.rigidity, scene)
 
 
 class DrivingMoment(AbstractForce):
@@ -171,8 +174,9 @@ class DrivingMoment(AbstractForce):
         joints, dtype = max(chain.beads - 2, 0), chain.radius.dtype
         along("DrivingMoment.moment", self.moment, joints, dim, dtype)
 
-    def load(self, t: Float[Array, ""], state: State, chain: Chain) -> Load:
+    def load(self, t: Float[Array, ""], state: State, scene: Setting) -> Load:
         """Torques on the beads."""
+        chain = scene.chain
         if chain.beads < 3:
             return Load()
         e, fibre = tangents(state.position), chain.fibre_of_bead[1:-1]
@@ -210,8 +214,9 @@ class BendingEnergy(AbstractPotential):
         kind("law", self.law, AbstractCurvatureLaw)
         check_bending(self.rigidity, self.intrinsic_curvature, spatial=False)
 
-    def energy(self, t: Float[Array, ""], state: State, chain: Chain) -> Float[Array, ""]:
+    def energy(self, t: Float[Array, ""], state: State, scene: Setting) -> Float[Array, ""]:
         """Bending energy [force length]."""
+        chain = scene.chain
         e = tangents(state.position)
         cosine = jnp.sum(e[:-1] * e[1:], axis=-1)
         name = f"{type(self).__name__}.intrinsic_curvature"
@@ -227,6 +232,6 @@ class BendingEnergy(AbstractPotential):
         dtype = chain.radius.dtype
         along(f"{name}.intrinsic_curvature", self.intrinsic_curvature, joints, 2, dtype)
 
-    def explicit_step(self, chain: Chain, viscosity: Float[Array, ""]) -> Float[Array, ""]:
+    def explicit_step(self, scene: Setting) -> Float[Array, ""]:
         """The paper's step (39)."""
-        return _bending_step(self.rigidity, chain, viscosity)
+        return _bending_step(self.rigidity, scene)

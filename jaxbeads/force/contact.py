@@ -8,8 +8,8 @@ from jaxtyping import Array, Bool, Float
 
 from .._checks import non_negative, positive, shape
 from .._typing import float_array
-from ..chain import Chain
 from ..pairs import pair_sums, separations
+from ..setting import Setting
 from ..state import Load, State
 from .base import AbstractForce, repulsion
 
@@ -42,9 +42,10 @@ class Contact(AbstractForce):
         positive("roughness", self.roughness)
         positive("decay", self.decay)
 
-    def passed(self, before: State, after: State, chain: Chain) -> Bool[Array, ""]:
+    def passed(self, before: State, after: State, scene: Setting) -> Bool[Array, ""]:
         """Whether two beads come closer on the way than at both ends, by more than half the roughness,
         and repel each other there."""
+        chain = scene.chain
         index = jnp.arange(chain.beads)
         beads = (
             before.position,
@@ -61,6 +62,7 @@ class Contact(AbstractForce):
                 for x, y, sign in zip(to[2:], of[2:], (1, -1, -1), strict=True)
             )
             way = [b - a for a, b in zip(start, end, strict=True)]
+            start = scene.domain.nearest(start, 1.0)
             length = sum(x * x for x in way)
             part = -sum(x * a for x, a in zip(way, start, strict=True))
             part = jnp.clip(part / jnp.where(length == 0, 1.0, length), 0.0, 1.0)
@@ -74,13 +76,14 @@ class Contact(AbstractForce):
 
         return jnp.any(pair_sums(fields, beads)[0] > 0)
 
-    def load(self, t: Float[Array, ""], state: State, chain: Chain) -> Load:
+    def load(self, t: Float[Array, ""], state: State, scene: Setting) -> Load:
         """Forces on the beads; they sum to zero."""
+        chain = scene.chain
         index = jnp.arange(chain.beads)
         beads = state.position, chain.radii, index, jnp.asarray(chain.fibre_of_bead)
 
         def fields(to: tuple[Array, ...], of: tuple[Array, ...]) -> list[Array]:
-            d = separations(to[0], of[0])
+            d = scene.domain.nearest(separations(to[0], of[0]), 1.0)
             radii, apart, other = (
                 x[:, None] + sign * y[None, :]
                 for x, y, sign in zip(to[1:], of[1:], (1, -1, -1), strict=True)

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from .._functions import leaf_function, trial, value_of
 from ..chain import Chain
+from ..setting import Setting
 from ..state import Load, State
 from .base import AbstractForce, AbstractPotential
 
@@ -27,7 +28,7 @@ class ForceField(AbstractForce):
         """A force for each bead."""
         _check(self, chain, dim)
 
-    def load(self, t: Float[Array, ""], state: State, chain: Chain) -> Load:
+    def load(self, t: Float[Array, ""], state: State, scene: Setting) -> Load:
         """The function's value as forces."""
         return Load(force=_value(self, t, state.position, state.position.shape))
 
@@ -44,7 +45,7 @@ class Potential(AbstractPotential):
         """One energy, with a gradient."""
         _check(self, chain, dim)
 
-    def energy(self, t: Float[Array, ""], state: State, chain: Chain) -> Float[Array, ""]:
+    def energy(self, t: Float[Array, ""], state: State, scene: Setting) -> Float[Array, ""]:
         """The function's value."""
         return _value(self, t, state.position, ())
 
@@ -60,4 +61,5 @@ def _value(
 
 def _check(field: ForceField | Potential, chain: Chain, dim: int) -> None:
     t, r = (jnp.zeros(shape, chain.radius.dtype) for shape in ((), (chain.beads, dim)))
-    trial(lambda t, r: field.load(t, State(r), chain), t, r)
+    scene = Setting(chain, 1.0)
+    trial(lambda t, r: field.load(t, State(r), scene), t, r)

@@ -10,6 +10,7 @@ from .._checks import fail, finite, shape, whole
 from .._typing import float_array
 from ..chain import Chain
 from ..geometry import tangents
+from ..setting import Setting
 from ..state import Load, State
 from .base import AbstractForce
 
@@ -48,7 +49,7 @@ class Follower(AbstractForce):
             must = "be the end of a fibre of two beads or more, along whose last bond it pushes"
             fail("Follower.end", must, f"bead {bead} is all of fibre {fibre}")
 
-    def load(self, t: Float[Array, ""], state: State, chain: Chain) -> Load:
+    def load(self, t: Float[Array, ""], state: State, scene: Setting) -> Load:
         """The force on that bead."""
         sign = 1.0 if self.end == 0 else -1.0
         push = sign * self.force * tangents(state.position)[self.end]

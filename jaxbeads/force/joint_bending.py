@@ -13,6 +13,7 @@ from .._functions import along
 from .._typing import float_array
 from ..chain import Chain
 from ..geometry import bonds, norm, unit
+from ..setting import Setting
 from ..state import Load, State
 from .base import AbstractForce, repulsion
 from .curvature import (
@@ -129,8 +130,9 @@ class JointBending(AbstractForce):
         m = moments(self.rigidity, self.law, p[:-1], p[1:], chain.bond_length, rest)
         return m * chain.bond_mask[:, None]
 
-    def load(self, t: Float[Array, ""], state: State, chain: Chain) -> Load:
+    def load(self, t: Float[Array, ""], state: State, scene: Setting) -> Load:
         """Torques on the beads, and forces between neighbours that repel each other."""
+        chain = scene.chain
         if chain.beads < 2:
             return Load()
         m = self.moments(t, state, chain)
@@ -167,10 +169,11 @@ class JointBending(AbstractForce):
         dtype = chain.radius.dtype
         along(f"{name}.intrinsic_curvature", self.intrinsic_curvature, joints, dim, dtype)
 
-    def explicit_step(self, chain: Chain, viscosity: Float[Array, ""]) -> Float[Array, ""]:
+    def explicit_step(self, scene: Setting) -> Float[Array, ""]:
         """A fifth of the paper's step (39), and as far below AB3's limit: a joint's moment turns single
         beads, whose fastest rate is about 4 (K_b / l) / (8 pi mu a^3)."""
+        chain = scene.chain
         most = stiffest(self.rigidity, chain.bond_mask)
         radius = jnp.min(chain.radius)
-        step = viscosity * radius**2 / jnp.where(most == 0, 1.0, most)
+        step = scene.viscosity * radius**2 / jnp.where(most == 0, 1.0, most)
         return jnp.where(most == 0, jnp.inf, step * radius * 3 * (radius + chain.gap))

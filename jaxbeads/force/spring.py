@@ -11,6 +11,7 @@ from .._checks import fail, non_negative, shape
 from .._typing import float_array
 from ..chain import Chain
 from ..geometry import bond_lengths
+from ..setting import Setting
 from ..state import State
 from .base import AbstractPotential
 from .curvature import stiffest
@@ -43,13 +44,14 @@ class Spring(AbstractPotential):
         """One stiffness for each bond."""
         shape("Spring.stiffness", self.stiffness, (), (max(chain.beads - 1, 0),))
 
-    def energy(self, t: Float[Array, ""], state: State, chain: Chain) -> Float[Array, ""]:
+    def energy(self, t: Float[Array, ""], state: State, scene: Setting) -> Float[Array, ""]:
         """Energy of all springs [force length]."""
+        chain = scene.chain
         stretch = bond_lengths(state.position) - chain.bond_length
         return 0.5 * jnp.sum(self.stiffness * chain.bond_mask * stretch**2)
 
-    def explicit_step(self, chain: Chain, viscosity: Float[Array, ""]) -> Float[Array, ""]:
+    def explicit_step(self, scene: Setting) -> Float[Array, ""]:
         """6 pi mu a / (16 k_s): the fastest rate is 4 k_s / (6 pi mu a)."""
-        most = stiffest(self.stiffness, chain.bond_mask)
-        drag = 6 * np.pi * viscosity * jnp.min(chain.radius)
+        most = stiffest(self.stiffness, scene.chain.bond_mask)
+        drag = 6 * np.pi * scene.viscosity * jnp.min(scene.chain.radius)
         return jnp.where(most == 0, jnp.inf, drag / (16 * jnp.where(most == 0, 1.0, most)))

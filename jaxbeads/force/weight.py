@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 from .._checks import fail, finite, shape
 from .._typing import float_array
 from ..chain import Chain
+from ..setting import Setting
 from ..state import Load, State
 from .base import AbstractForce
 
@@ -39,6 +40,6 @@ class Weight(AbstractForce):
         """A force of the scene's dimension."""
         shape("Weight.force", self.force, (dim,), (chain.beads, dim))
 
-    def load(self, t: Float[Array, ""], state: State, chain: Chain) -> Load:
+    def load(self, t: Float[Array, ""], state: State, scene: Setting) -> Load:
         """The weight of each bead."""
         return Load(force=jnp.broadcast_to(self.force, state.position.shape))

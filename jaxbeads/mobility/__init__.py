@@ -5,7 +5,7 @@ derived from `AbstractMobility` in a file of its own, a line here and a line in 
 """
 
 from .base import AbstractMobility as AbstractMobility
-from .base import MatrixFree as MatrixFree
-from .base import MobilityOperator as MobilityOperator
+from .base import Operator as Operator
+from .base import Product as Product
 from .free_draining import FreeDraining as FreeDraining
 from .rpy import RPY as RPY

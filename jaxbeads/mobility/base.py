@@ -1,4 +1,4 @@
-"""What a mobility is."""
+"""What a mobility is, and its value at one configuration."""
 
 import abc
 from collections.abc import Callable
@@ -8,107 +8,134 @@ import equinox as eqx
 import jax
 from jaxtyping import Array, Float, Int
 
+from .._checks import fail
+from ..configuration import Configuration
+from ..domain import SYMMETRIES, AbstractDomain, Unbounded
 from ..pairs import PairTensor
 from ..state import Load, Motion, add_motions
 
 MOST_DENSE = 1000
 """Beads up to which a mobility is dense unless it is told otherwise."""
 
-
-@runtime_checkable
-class MobilityOperator(Protocol):
-    """The mobility M of one configuration, applied to loads.
-
-    A `pairs.PairTensor` is one; so is any object with this method. The fast assembly of the
-    constraint matrix needs a `PairTensor`, iterations a `MatrixFree`; everything else works with any
-    operator.
-    """
-
-    def motion(self, load: Load) -> Motion:
-        """M F: linear in the load and symmetric."""
-        ...
-
-
-@runtime_checkable
-class MatrixFree(MobilityOperator, Protocol):
-    """A mobility that is nowhere kept as a whole. The multipliers are found by iterations, see
-    `windows`, and no array grows faster than the number of beads."""
-
-    def among(self, beads: Int[Array, " some"]) -> PairTensor:
-        """The mobility of some beads, as tables."""
-        ...
+Strain = Callable[[Float[Array, "beads dim"]], Float[Array, "*beads dim dim"]]
+"""The ambient rate of strain [1/time] at positions: one tensor for all beads, or one for each."""
 
 
 class AbstractMobility(eqx.Module):
     """Linear relation of loads and motion in Stokes flow, for any configuration of beads.
 
-    Qdot = M(Q) F + V_inf + C(Q) : E, eq. (13) of Delmotte, Climent & Plouraboué (2015).
+    Qdot = M(Q) F + V_inf + C(Q) : E, eq. (13) of Delmotte, Climent & Plouraboué (2015). `motion`, M F,
+    is all that a new mobility has to say: a pure function of the configuration, linear in the load and
+    symmetric, so that its transpose is itself. `disturbance` is C : E, for beads that feel one
+    another's resistance to strain. The rest makes it faster: with `tables` the matrices of constraints
+    are assembled from fields of pairs (and large scenes are iterated), `gradient` finds the derivatives
+    by the positions for pairs.
     """
 
     interacting: ClassVar[bool] = True
     """Whether beads move one another, so that two of one size in one place move as one."""
+    domains: ClassVar[tuple[type[AbstractDomain], ...]] = (Unbounded,)
+    """The domains in which it holds."""
+    symmetries: ClassVar[frozenset[str]] = SYMMETRIES
+    """Those of `SYMMETRIES` that it has where the domain has them."""
+    tabulated: ClassVar[bool] = False
+    """Whether products with the tables of all beads are faster than `motion`."""
 
     def is_dense(self, beads: int) -> bool:
-        """Whether the multipliers of so many beads are found by a factorisation; otherwise `operator`
-        is `MatrixFree`."""
+        """Whether the multipliers of so many beads are found by a factorisation; otherwise by
+        iterations, for which it needs `tables` of some of the beads."""
         return True
 
-    @abc.abstractmethod
-    def operator(
-        self,
-        position: Float[Array, "beads dim"],
-        radius: Float[Array, ""] | Float[Array, " beads"],
-        viscosity: Float[Array, ""],
-        rotational: bool,
-    ) -> MobilityOperator:
-        """M at this configuration; without spins and torques unless `rotational`."""
+    def check(self, domain: AbstractDomain, dim: int) -> None:
+        """Refuse, in one sentence, a domain in which the mobility does not hold."""
+        if not isinstance(domain, self.domains):
+            served = " or ".join(d.__name__ for d in self.domains)
+            must = f"have the domain {served} for the mobility {type(self).__name__}"
+            fail("scene", must, f"its domain is {type(domain).__name__}")
 
     @abc.abstractmethod
-    def shear_disturbance(
-        self,
-        position: Float[Array, "beads dim"],
-        radius: Float[Array, ""] | Float[Array, " beads"],
-        strain_rate: Float[Array, "*beads dim dim"],
-        rotational: bool,
+    def motion(self, configuration: Configuration, load: Load) -> Motion:
+        """M F, in the form that is differentiated; without spins unless they take part."""
+
+    def disturbance(
+        self, configuration: Configuration, strain_rate: Float[Array, "*beads dim dim"]
     ) -> Motion | None:
-        """C : E for the ambient rate of strain at the beads [1/time]; `None` if there is none."""
+        """C : E for the ambient rate of strain at the beads [1/time], one for all or one for each;
+        `None` if there is none."""
+        return None
 
-    def motion(
-        self,
-        position: Float[Array, "beads dim"],
-        radius: Float[Array, ""] | Float[Array, " beads"],
-        viscosity: Float[Array, ""],
-        rotational: bool,
-        load: Load,
-    ) -> Motion:
-        """M F for one load, in the form that is differentiated."""
-        return self.operator(position, radius, viscosity, rotational).motion(load)
+    def tables(self, configuration: Configuration) -> PairTensor | None:
+        """M as fields of pairs; `None` if it has no such form."""
+        return None
 
     def gradient(
         self,
-        position: Float[Array, "beads dim"],
-        radius: Float[Array, ""] | Float[Array, " beads"],
-        viscosity: Float[Array, ""],
-        rotational: bool,
+        configuration: Configuration,
         load: Load,
-        strain: Callable[[Array], Array] | None,
+        strain: Strain | None,
         shifts: Float[Array, "shifts beads dim"],
     ) -> Motion | None:
-        """Derivatives of M F + C:E along shifts of the positions, with F held, for implicit solvers.
+        """Derivatives of M F + C:E along shifts of the positions [length], with F held, for implicit
+        solvers: one shift after the other, vectorised, unless a mobility knows better.
 
-        One shift after the other, vectorised, unless a mobility knows better.
-
-        **Arguments**: as above; `strain`: the ambient rate of strain as a function of the positions,
-        or `None`. **Returns** motions with a leading axis of shifts; `None` if nothing depends on the
-        positions.
+        **Returns** motions with a leading axis of shifts; `None` if nothing depends on the positions.
         """
 
         def moved(x: Array) -> Motion:
-            motion = self.operator(x, radius, viscosity, rotational).motion(load)
-            if strain is None:
-                return motion
-            disturbance = self.shear_disturbance(x, radius, strain(x), rotational)
+            here = configuration.at(x)
+            motion = self.motion(here, load)
+            disturbance = None if strain is None else self.disturbance(here, strain(x))
             return motion if disturbance is None else add_motions(motion, disturbance)
 
-        _, push = jax.linearize(moved, position)
+        _, push = jax.linearize(moved, configuration.position)
         return jax.vmap(push)(shifts)
+
+    def operator(self, configuration: Configuration) -> "Operator":
+        """M at a configuration."""
+        return Operator(self, configuration)
+
+
+@runtime_checkable
+class Product(Protocol):
+    """Anything that takes loads to motions: an `Operator`, or its tables."""
+
+    def motion(self, load: Load) -> Motion:
+        """M F."""
+        ...
+
+
+class Operator(eqx.Module):
+    """The mobility at one configuration, of which nothing is kept: every product is found anew."""
+
+    mobility: AbstractMobility
+    configuration: Configuration
+
+    def motion(self, load: Load) -> Motion:
+        """M F."""
+        return self.mobility.motion(self.configuration, load)
+
+    def disturbance(self, strain_rate: Float[Array, "*beads dim dim"]) -> Motion | None:
+        """C : E."""
+        return self.mobility.disturbance(self.configuration, strain_rate)
+
+    def gradient(
+        self, load: Load, strain: Strain | None, shifts: Float[Array, "shifts beads dim"]
+    ) -> Motion | None:
+        """Derivatives of M F + C:E along shifts of the positions."""
+        return self.mobility.gradient(self.configuration, load, strain, shifts)
+
+    def some(self, beads: Int[Array, " some"]) -> PairTensor:
+        """The mobility of some beads, as tables."""
+        tables = self.mobility.tables(self.configuration.some(beads))
+        if tables is None:
+            must = "have `tables` for scenes without a dense mobility"
+            fail("scene.mobility", must, f"{type(self.mobility).__name__} has none")
+        return tables
+
+    def kept(self) -> Product:
+        """What multiplies many loads in the shortest time: tables, if they are worth it."""
+        mobility, configuration = self.mobility, self.configuration
+        if not (mobility.tabulated and mobility.is_dense(configuration.beads)):
+            return self
+        tables = mobility.tables(configuration)
+        return self if tables is None else tables

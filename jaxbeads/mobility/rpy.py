@@ -1,32 +1,15 @@
 """Rotne-Prager-Yamakawa: the beads' far-field interactions, regular at any distance."""
 
-from collections.abc import Callable
+from typing import ClassVar
 
 import equinox as eqx
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from .. import tensors
+from ..configuration import Configuration
 from ..pairs import PairTensor
 from ..state import Load, Motion
-from .base import MOST_DENSE, AbstractMobility
-
-
-class PairSums(eqx.Module):
-    """M of one configuration, of which nothing is kept: every product sums over all pairs again."""
-
-    position: Float[Array, "beads dim"]
-    radius: Float[Array, "*beads"]
-    viscosity: Float[Array, ""]
-    rotational: bool = eqx.field(static=True)
-
-    def motion(self, load: Load) -> Motion:
-        """M F."""
-        return tensors.rpy_motion(self.position, self.radius, self.viscosity, self.rotational, load)
-
-    def among(self, beads: Int[Array, " some"]) -> PairTensor:
-        """The mobility of some beads, as tables."""
-        radius = self.radius if self.radius.ndim == 0 else self.radius[beads]
-        return tensors.rpy(self.position[beads], radius, self.viscosity, self.rotational)
+from .base import MOST_DENSE, AbstractMobility, Strain
 
 
 class RPY(AbstractMobility):
@@ -46,6 +29,7 @@ class RPY(AbstractMobility):
       tables. By default up to 1000 beads.
     """
 
+    tabulated: ClassVar[bool] = True
     strained: bool = eqx.field(static=True, default=True)
     dense: bool | None = eqx.field(static=True, default=None)
 
@@ -53,53 +37,29 @@ class RPY(AbstractMobility):
         """As `dense` says."""
         return beads <= MOST_DENSE if self.dense is None else self.dense
 
-    def operator(
-        self,
-        position: Float[Array, "beads dim"],
-        radius: Float[Array, ""] | Float[Array, " beads"],
-        viscosity: Float[Array, ""],
-        rotational: bool,
-    ) -> PairTensor | PairSums:
-        """All pair tensors as `(beads, beads)` fields, or their sums."""
-        if not self.is_dense(len(position)):
-            return PairSums(position, radius, viscosity, rotational)
-        return tensors.rpy(position, radius, viscosity, rotational)
+    def motion(self, configuration: Configuration, load: Load) -> Motion:
+        """M F, pair by pair."""
+        return tensors.rpy_motion(configuration, load)
 
-    def shear_disturbance(
-        self,
-        position: Float[Array, "beads dim"],
-        radius: Float[Array, ""] | Float[Array, " beads"],
-        strain_rate: Float[Array, "*beads dim dim"],
-        rotational: bool,
+    def disturbance(
+        self, configuration: Configuration, strain_rate: Float[Array, "*beads dim dim"]
     ) -> Motion | None:
         """C : E."""
-        if not self.strained:
-            return None
-        return tensors.shear_disturbance(position, radius, strain_rate, rotational)
+        return tensors.shear_disturbance(configuration, strain_rate) if self.strained else None
 
-    def motion(
-        self,
-        position: Float[Array, "beads dim"],
-        radius: Float[Array, ""] | Float[Array, " beads"],
-        viscosity: Float[Array, ""],
-        rotational: bool,
-        load: Load,
-    ) -> Motion:
-        """M F, pair by pair."""
-        return tensors.rpy_motion(position, radius, viscosity, rotational, load)
+    def tables(self, configuration: Configuration) -> PairTensor:
+        """All pair tensors as `(beads, beads)` fields."""
+        return tensors.rpy(configuration)
 
     def gradient(
         self,
-        position: Float[Array, "beads dim"],
-        radius: Float[Array, ""] | Float[Array, " beads"],
-        viscosity: Float[Array, ""],
-        rotational: bool,
+        configuration: Configuration,
         load: Load,
-        strain: Callable[[Array], Array] | None,
+        strain: Strain | None,
         shifts: Float[Array, "shifts beads dim"],
     ) -> Motion | None:
         """Derivatives of M F + C:E, found for pairs."""
         strain = strain if self.strained else None
         if load.force is None and load.torque is None and strain is None:
             return None
-        return tensors.rpy_gradient(position, radius, viscosity, rotational, load, strain, shifts)
+        return tensors.rpy_gradient(configuration, load, strain, shifts)

@@ -37,7 +37,7 @@ def explicit_step(scene: Scene) -> Float[Array, ""]:
     """Time step for explicit solvers: the smallest that a force asks for. With `Bending` the paper's
     mu (2a)^4 / K_b, eq. (39), for the smallest radius and the largest rigidity; infinite without
     stiff forces."""
-    steps = [f.explicit_step(scene.chain, scene.viscosity) for f in scene.forces]
+    steps = [f.explicit_step(scene) for f in scene.forces]
     return jnp.min(jnp.stack([jnp.asarray(jnp.inf), *steps]))
 
 

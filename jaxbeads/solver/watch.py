@@ -148,8 +148,8 @@ class Watch(NamedTuple):
         for force in scene.forces:
             if force.passes:
                 middle = path(t0 + (t1 - t0) / 2) if middle is None else middle
-                found = found | force.passed(self.state, middle, scene.chain)
-                found = found | force.passed(middle, end, scene.chain)
+                found = found | force.passed(self.state, middle, scene)
+                found = found | force.passed(middle, end, scene)
         return found
 
 
@@ -189,7 +189,7 @@ def _terms(scene: Scene) -> list[tuple[Acting, bool]]:
 
     terms: list[tuple[Acting, bool]] = []
     for force in scene.forces:
-        terms.append((lambda t, s, f=force: loaded(f.load(t, s, chain)), force.smooth))
+        terms.append((lambda t, s, f=force: loaded(f.load(t, s, scene)), force.smooth))
     for constraint in scene.constraints:
         # A rate of turning moves the end of a fibre.
         arm = jnp.max(chain.length) if constraint.turning else 1.0
