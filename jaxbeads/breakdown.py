@@ -71,8 +71,8 @@ def guilty_term(t: float, state: State, scene: Scene, derivatives: bool = False)
     if derivatives and (fault := not_smooth(t, state, scene)) is not None:
         return fault
     sizes = {}
-    for force in scene.forces:
-        load = _size(force.load(jnp.asarray(t), state, scene))
+    for index, force in enumerate(scene.forces):
+        load = _size(scene.load_of(index, t, state))
         sizes[type(force).__name__] = max(load, sizes.get(type(force).__name__, 0.0))
     largest = max(sizes, key=lambda name: sizes[name], default="")
     if not largest or sizes[largest] == 0:

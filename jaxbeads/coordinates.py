@@ -1,44 +1,155 @@
 """Coordinates of the states near one state, in which chains keep their bond lengths exactly."""
 
+import abc
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
+from . import carried
 from .chain import Chain, place
 from .constraint import AbstractChainConstraint
-from .frames import tidy
 from .geometry import normals
 from .scene import Scene
 from .state import State
 
 
-class Coordinates(eqx.Module):
-    """A chart x -> state with x = 0 at its start; see `coordinates`."""
+class AbstractCoordinates(eqx.Module):
+    """A chart x -> state with x = 0 at its start; see `coordinates`. The numbers are points (of all
+    beads, or one of each fibre), turns of directions, and what the state carries beside them."""
 
-    start: State
-    """The state at x = 0, its bonds at their lengths."""
-    chain: Chain
-    constraint: AbstractChainConstraint | None
-    direction: Float[Array, "directions dim"] | None
-    """Unit vectors e of the start that make its shape."""
-    anchors: tuple[int | None, ...] = eqx.field(static=True)
-    """The bead by which each fibre is placed; `None`: its centre."""
+    start: eqx.AbstractVar[State]
+    """The state at x = 0."""
+    chain: eqx.AbstractVar[Chain]
+
+    @property
+    def besides(self) -> tuple[str, ...]:
+        """Names of the carried parts that follow from the rest."""
+        return ()
+
+    @property
+    @abc.abstractmethod
+    def sizes(self) -> tuple[int, int, int]:
+        """How many numbers are points, turns of directions, and carried."""
+
+    @abc.abstractmethod
+    def state(self, x: Float[Array, " numbers"]) -> State:
+        """The state at x."""
+
+    @abc.abstractmethod
+    def rate(
+        self, x: Float[Array, " numbers"], state: State, moving: State
+    ) -> Float[Array, " numbers"]:
+        """dx/dt at x, where the state is `state` and its rate of change `moving`."""
+
+    @abc.abstractmethod
+    def points(self, position: Float[Array, "beads dim"]) -> Float[Array, "points dim"]:
+        """The points by which beads at these positions are placed."""
+
+    @abc.abstractmethod
+    def directions(self, state: State) -> Float[Array, "directions dim"]:
+        """The unit vectors that make the shape of a state; none of beads alone."""
+
+    @abc.abstractmethod
+    def sideways(self, vectors: Float[Array, "directions dim"]) -> Float[Array, "directions turns"]:
+        """Components of vectors normal to the directions of the start."""
 
     @property
     def origin(self) -> Float[Array, " numbers"]:
         """x = 0."""
         return jnp.zeros(sum(self.sizes), self.start.position.dtype)
 
+    @property
+    def units(self) -> Float[Array, " numbers"]:
+        """How large each coordinate may be: the longest fibre's length for points, otherwise 1."""
+        points, *others = self.sizes
+        ones = jnp.ones(points + sum(others), self.start.position.dtype)
+        return ones.at[:points].set(jnp.max(self.chain.length))
+
+    def loose(self, state: State) -> list[Float[Array, "rows dim"]]:
+        """Vectors of the state that turn with the whole and are numbers of their own."""
+        return carried.vectors(state, self.besides)
+
+    def _carried(self, state: State) -> Any:
+        return carried.values(state, self.besides)
+
+    def _split(self, x: Array) -> tuple[Array, Array, dict[str, Any]]:
+        """Points, turns, and the carried parts at x."""
+        dim = self.start.position.shape[1]
+        points, turn, others = jnp.split(x, np.cumsum(self.sizes)[:-1])
+        numbers, whole = ravel_pytree(self._carried(self.start))
+        return points.reshape(-1, dim), turn.reshape(-1, dim - 1), whole(numbers + others)
+
+    def _joined(self, points: Array, turn: Array, moving: State) -> Array:
+        others = ravel_pytree(self._carried(moving))[0]
+        return jnp.concatenate([points.ravel(), turn.ravel(), others])
+
+
+class BeadCoordinates(AbstractCoordinates):
+    """The beads' own positions."""
+
+    start: State
+    chain: Chain
+
+    @property
+    def sizes(self) -> tuple[int, int, int]:
+        """All positions, no turns."""
+        return self.start.position.size, 0, ravel_pytree(self._carried(self.start))[0].size
+
     def state(self, x: Float[Array, " numbers"]) -> State:
         """The state at x."""
-        points, turn, rest, frame = self._split(x)
-        director, normal = self.start.director, self.start.normal
-        normal = None if normal is None else normal + frame
-        if self.constraint is None or self.direction is None:
-            director = None if director is None else director + rest
-            return State(self.start.position + points, director, normal)
+        points, _, others = self._split(x)
+        return carried.with_values(self.start.position + points, others)
+
+    def rate(
+        self, x: Float[Array, " numbers"], state: State, moving: State
+    ) -> Float[Array, " numbers"]:
+        """The rate itself."""
+        return self._joined(moving.position, jnp.zeros(0, x.dtype), moving)
+
+    def points(self, position: Float[Array, "beads dim"]) -> Float[Array, "points dim"]:
+        """All of them."""
+        return position
+
+    def directions(self, state: State) -> Float[Array, "directions dim"]:
+        """None."""
+        return state.position[:0]
+
+    def sideways(self, vectors: Float[Array, "directions dim"]) -> Float[Array, "directions turns"]:
+        """None."""
+        return vectors[:, 1:]
+
+
+class ChainCoordinates(AbstractCoordinates):
+    """One point of each fibre and the directions of its bonds."""
+
+    start: State
+    chain: Chain
+    constraint: AbstractChainConstraint
+    direction: Float[Array, "directions dim"]
+    """Unit vectors e of the start that make its shape."""
+    anchors: tuple[int | None, ...] = eqx.field(static=True)
+    """The bead by which each fibre is placed; `None`: its centre."""
+
+    @property
+    def besides(self) -> tuple[str, ...]:
+        """Directors, where they are the directions."""
+        return ("director",) if self.constraint.oriented else ()
+
+    @property
+    def sizes(self) -> tuple[int, int, int]:
+        """A point of each fibre, the turns of all directions."""
+        rows, dim = self.direction.shape
+        others = ravel_pytree(self._carried(self.start))[0].size
+        return len(self.chain.fibres) * dim, rows * (dim - 1), others
+
+    def state(self, x: Float[Array, " numbers"]) -> State:
+        """The state at x."""
+        points, turn, others = self._split(x)
         quarter = (turn * turn).sum(axis=1, keepdims=True) / 4
         sideways = jnp.einsum("rn,rnd->rd", turn, normals(self.direction))
         direction = ((1 - quarter) * self.direction + sideways) / (1 + quarter)
@@ -47,60 +158,31 @@ class Coordinates(eqx.Module):
         bonds = self.constraint.bonds(direction, self.chain)
         position = place(self.chain, bonds, points, weights)
         if self.constraint.oriented:
-            return State(position, direction, normal)
-        return State(position, None if director is None else director + rest, normal)
+            others = others | {"director": direction}
+        return carried.with_values(position, others)
 
     def rate(
         self, x: Float[Array, " numbers"], state: State, moving: State
     ) -> Float[Array, " numbers"]:
-        """dx/dt at x, where the state is `state` and its rate of change `moving`."""
-        if self.constraint is None or self.direction is None:
-            parts = [moving.position, moving.director, moving.normal]
-            return jnp.concatenate([part.ravel() for part in parts if part is not None])
-        constraint, turn = self.constraint, self._split(x)[1]
-        turning = jax.jvp(lambda s: constraint.directions(s, self.chain), (state,), (moving,))[1]
+        """That of the stereographic map."""
+        turn = self._split(x)[1]
+        turning = jax.jvp(self.directions, (state,), (moving,))[1]
         quarter = (turn * turn).sum(axis=1, keepdims=True) / 4
         along = (turning * self.direction).sum(axis=1, keepdims=True)
-        sideways = jnp.einsum("rd,rnd->rn", turning, normals(self.direction))
-        parts = [self._weights @ moving.position, (1 + quarter) * (sideways - turn * along / 2)]
-        if moving.director is not None and not constraint.oriented:
-            parts.append(moving.director)
-        if moving.normal is not None:
-            parts.append(moving.normal)
-        return jnp.concatenate([part.ravel() for part in parts])
+        turn = (1 + quarter) * (self.sideways(turning) - turn * along / 2)
+        return self._joined(self._weights @ moving.position, turn, moving)
 
-    @property
-    def units(self) -> Float[Array, " numbers"]:
-        """How large each coordinate may be: the longest fibre's length for places, otherwise 1."""
-        places, *others = self.sizes
-        ones = jnp.ones(places + sum(others), self.start.position.dtype)
-        return ones.at[:places].set(jnp.max(self.chain.length))
+    def points(self, position: Float[Array, "beads dim"]) -> Float[Array, "points dim"]:
+        """One of each fibre."""
+        return self._weights @ position
 
-    @property
-    def sizes(self) -> tuple[int, ...]:
-        """How many numbers are points of fibres (or all beads), turns of directions, directors and
-        normals that are carried."""
-        size = self.start.position.size
-        normal = self.start.normal
-        frame = 0 if normal is None else normal.size
-        carried = self.start.director is not None
-        if self.constraint is None or self.direction is None:
-            return size, 0, size if carried else 0, frame
-        rows, dim = self.direction.shape
-        rest = size if carried and not self.constraint.oriented else 0
-        return len(self.chain.fibres) * dim, rows * (dim - 1), rest, frame
+    def directions(self, state: State) -> Float[Array, "directions dim"]:
+        """Those that the constraint keeps."""
+        return self.constraint.directions(state, self.chain)
 
-    def places(self, position: Float[Array, "beads dim"]) -> Float[Array, "points dim"]:
-        """The points by which beads at these positions are placed."""
-        return position if self.constraint is None else self._weights @ position
-
-    def _split(self, x: Array) -> tuple[Array, Array, Array, Array]:
-        dim = self.start.position.shape[1]
-        parts = jnp.split(x, np.cumsum(self.sizes)[:-1])
-        points, turn, rest, frame = (
-            part.reshape(-1, dim - 1 if which == 1 else dim) for which, part in enumerate(parts)
-        )
-        return points, turn, rest, frame
+    def sideways(self, vectors: Float[Array, "directions dim"]) -> Float[Array, "directions turns"]:
+        """Components of vectors normal to the directions of the start."""
+        return jnp.einsum("rd,rnd->rn", vectors, normals(self.direction))
 
     @property
     def _weights(self) -> Float[Array, "fibres beads"]:
@@ -114,7 +196,7 @@ class Coordinates(eqx.Module):
         return jnp.asarray(rows, self.start.position.dtype)
 
 
-def coordinates(scene: Scene, state: State) -> Coordinates:
+def coordinates(scene: Scene, state: State) -> AbstractCoordinates:
     """Coordinates about a state in which the scene's chain constraint holds exactly.
 
     A chain is given by one point of each fibre and the unit vectors of its bonds (for `Joint`, of its
@@ -133,17 +215,18 @@ def coordinates(scene: Scene, state: State) -> Coordinates:
             anchors[fibre] = bead if anchors[fibre] is None else anchors[fibre]
     chained = [c for c in scene.constraints if isinstance(c, AbstractChainConstraint)]
     if not chained:
-        return Coordinates(state, scene.chain, None, None, tuple(anchors))
+        return BeadCoordinates(state, scene.chain)
     direction = chained[0].directions(state, scene.chain)
-    chart = Coordinates(state, scene.chain, chained[0], direction, tuple(anchors))
+    chart = ChainCoordinates(state, scene.chain, chained[0], direction, tuple(anchors))
     return eqx.tree_at(lambda c: c.start, chart, chart.state(chart.origin))
 
 
 def tidied(scene: Scene, state: State) -> State:
-    """Directors and normals at length one, as time stepping keeps them to its order only. A chain
-    constraint that is made of directors looks after them itself."""
+    """The state without what time stepping has added to what it carries. A chain constraint that is made
+    of directors looks after them itself."""
     chained = (c for c in scene.constraints if isinstance(c, AbstractChainConstraint))
-    return tidy(state, scene.chain, directors=not any(c.oriented for c in chained))
+    besides = ("director",) if any(c.oriented for c in chained) else ()
+    return carried.tidied(state, scene.chain, besides)
 
 
 def project(scene: Scene, state: State) -> State:

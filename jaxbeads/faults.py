@@ -8,14 +8,15 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array
 
+from .carried import PARTS
 from .constraint import AbstractConstraint
 from .dynamics import motion, named
-from .force import AbstractForce
-from .instant import Time, ambient_motion, applied_load, carried
+from .instant import Time, ambient_motion, applied_load, fluid_motion
 from .scene import Scene
-from .state import Load, Motion, State, zero_motion
+from .state import Motion, State, zero_motion
 
 REMEDY = (
     "Linearly implicit steps and root finding need derivatives: write the term so that it has them "
@@ -41,17 +42,20 @@ _Term = Callable[[Array, State], Any]
 def not_finite(t: Time, state: State, scene: Scene) -> Fault | None:
     """The first term whose value is not finite; `None` if all are. A host function."""
     time = jnp.asarray(t, state.position.dtype)
-    for force in scene.forces:
-        bead = _first(force.load(time, state, scene), len(state.position))
+    rates = scene.own_rate(time, state) or (None,) * len(scene.forces)
+    for index, (force, rate) in enumerate(zip(scene.forces, rates, strict=True)):
+        bead = _first(scene.load_of(index, time, state), len(state.position))
         if bead is not None:
             return Fault(type(force).__name__, "its load is not finite", *bead)
+        if _first(rate) is not None:
+            return Fault(type(force).__name__, "the rate of its own numbers is not finite")
     if scene.flow is not None:
         name, beads = type(scene.flow).__name__, len(state.position)
         flow = scene.flow
         plain = jax.vmap(lambda x: flow.velocity(time, x))(state.position)
         if (bead := _first(plain, beads)) is not None:
             return Fault(name, "its velocity is not finite", *bead)
-        if (bead := _first(carried(time, state, scene).velocity, beads)) is not None:
+        if (bead := _first(fluid_motion(time, state, scene).velocity, beads)) is not None:
             how = "the gradient of its velocity, or the Laplacian that spheres feel, is not finite"
             return Fault(name, how, *bead)
         if (bead := _first(ambient_motion(time, state, scene), beads)) is not None:
@@ -67,14 +71,14 @@ def not_smooth(t: Time, state: State, scene: Scene) -> Fault | None:
     """The first term of which a derivative is not finite that linearisations need, where all values
     are; `None` if there is none. A host function."""
     time = jnp.asarray(t, state.position.dtype)
-    for force in scene.forces:
-        load = partial(_load, force, scene)
+    for index, force in enumerate(scene.forces):
+        load = partial(scene.load_of, index)
         if (found := _derivative(type(force).__name__, "its load", load, time, state)) is not None:
             return found
     if scene.flow is not None:
         name = type(scene.flow).__name__
         parts: dict[str, _Term] = {
-            "its velocity": lambda t, s: carried(t, s, scene).velocity,
+            "its velocity": lambda t, s: fluid_motion(t, s, scene).velocity,
             "the gradient of its velocity": lambda t, s: ambient_motion(t, s, scene),
         }
         for what, part in parts.items():
@@ -96,17 +100,13 @@ def not_smooth(t: Time, state: State, scene: Scene) -> Fault | None:
     return _derivative(type(scene.mobility).__name__, "its motion", mobile, time, state)
 
 
-def _load(force: AbstractForce, scene: Scene, t: Array, state: State) -> Load:
-    return force.load(t, state, scene)
-
-
 def _slip(
     constraint: AbstractConstraint, scene: Scene, held: Motion, t: Array, state: State
 ) -> Array:
     return constraint.slip(t, state, held, scene.chain)
 
 
-_NAMES = {"position": "the positions", "director": "the orientations", "normal": "the normals"}
+_NAMES = {"position": "the positions"} | {part.name: part.words for part in PARTS}
 
 
 def _derivative(
@@ -126,11 +126,12 @@ def _derivative(
 
     for part, value in vars(state).items():
         if value is not None:
+            numbers, whole = ravel_pytree(value)
 
-            def moved(x: Array, part: str = part) -> Any:
-                return term(t, eqx.tree_at(lambda s: getattr(s, part), state, x))
+            def moved(x: Array, part: str = part, whole: Any = whole) -> Any:
+                return term(t, eqx.tree_at(lambda s: getattr(s, part), state, whole(x)))
 
-            if (found := fault(moved, value, _NAMES.get(part, f"the {part}s"))) is not None:
+            if (found := fault(moved, numbers, _NAMES[part])) is not None:
                 return found
     return fault(lambda t: term(t, state), t, "the time")
 

@@ -1,8 +1,8 @@
 """Trajectory files: HDF5, written while running, from which a run continues bit for bit.
 
-Layout: `t` (times), `position` (times, beads, dim), `director` and `normal` where there are, `residual`,
-`bond_length_error`; `ts` (all planned times); group `scene` (every number of the model and solver);
-`model` (the structure that these numbers belong to, as JSON, see `contents`); groups `checkpoint/0` and
+Layout: `t` (times), `position` (times, beads, dim), `director`, `normal`, `own_0` ... where there are,
+`residual`, `bond_length_error`; `ts` (all planned times); group `scene` (every number of the model and
+solver); `model` (the structure that these numbers belong to, as JSON, see `contents`); groups `checkpoint/0` and
 `checkpoint/1` (all that the next step depends on, written in turns); `mark` (which of the two is whole,
 how many states belong to it, steps so far), written last in one piece: what lies beyond it is the rest
 of an interrupted write; `seconds` (in all, and of them for compiling; not a number unless the last run
@@ -26,6 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ._checks import fail
+from .carried import PARTS, values, with_values
 from .contents import Contents
 from .places import (
     Place,
@@ -45,7 +46,8 @@ from .state import State
 
 FORMAT = 1
 _COLUMNS = ("t", "position", "residual", "bond_length_error")
-_OPTIONAL = ("director", "normal")
+_OWN = "own_"
+"""Name of what a force owns, before the number of the force."""
 _LIMITS = ("max_steps",)
 """What decides on no number of a run that ends well, and may be another when it is resumed."""
 
@@ -124,9 +126,7 @@ class TrajectoryFile:
         for index, number in enumerate(contents.numbers):
             handle[f"scene/{index}"] = number
         columns = {"t": np.asarray(ts)[:1], "position": np.asarray(state.position)[None]}
-        for name in _OPTIONAL:
-            if (vectors := getattr(state, name)) is not None:
-                columns[name] = np.asarray(vectors)[None]
+        columns |= {name: np.asarray(part)[None] for name, part in _carried(state).items()}
         for name in ("residual", "bond_length_error"):
             columns[name] = np.zeros(1)
         for name, first in columns.items():
@@ -151,16 +151,15 @@ class TrajectoryFile:
         columns = {
             "t": part.ts,
             "position": part.states.position,
-            "director": part.states.director,
-            "normal": part.states.normal,
+            **_carried(part.states),
             "residual": part.residual,
             "bond_length_error": part.bond_length_error,
         }
-        for name, values in columns.items():
-            if values is not None:
+        for name, column in columns.items():
+            if column is not None:
                 data: Any = self.handle[name]
-                data.resize(done + len(values), axis=0)
-                data[done:] = np.asarray(values)
+                data.resize(done + len(column), axis=0)
+                data[done:] = np.asarray(column)
         group = self.handle.require_group(f"checkpoint/{1 - slot}")
         for index, leaf in enumerate(_leaves(carry)):
             group.require_dataset(str(index), leaf.shape, leaf.dtype)[...] = leaf
@@ -211,11 +210,11 @@ def load(path: str | Path) -> Solution:
         _, done, steps = (int(x) for x in np.asarray(handle["mark"]))
         planned, stored = np.asarray(handle["ts"]), _whole_columns(handle, path, done)
         ts, position, residual, error = (jnp.asarray(stored[name]) for name in _COLUMNS)
-        vectors = {name: jnp.asarray(stored[name]) for name in _OPTIONAL if name in stored}
+        others = {name: jnp.asarray(x) for name, x in stored.items() if name not in _COLUMNS}
         wall, compiling = _seconds(handle)
         return Solution(
             ts,
-            batch_state(position, **vectors),
+            _states(position, others),
             jnp.asarray(steps, int),  # with a type, or it would be a weak one
             jnp.zeros((), int),
             residual,
@@ -233,7 +232,8 @@ def _seconds(handle: h5py.File) -> np.ndarray:
 
 def _whole_columns(handle: h5py.File, path: str | Path, done: int) -> dict[str, np.ndarray]:
     """The states that the mark vouches for."""
-    names = [*_COLUMNS, *(set(_OPTIONAL) & set(handle))]
+    own = [name for name in map(str, handle) if name.startswith(_OWN)]
+    names = [*_COLUMNS, *({part.name for part in PARTS} & set(handle)), *own]
     columns = {name: np.asarray(handle[name]) for name in names}
     short = min(len(column) for column in columns.values())
     times = np.asarray(handle["ts"])[:done]
@@ -250,13 +250,23 @@ def planned_times(path: str | Path) -> jax.Array:
         return jnp.asarray(np.asarray(handle["ts"]))
 
 
-def batch_state(
-    position: jax.Array, director: jax.Array | None = None, normal: jax.Array | None = None
-) -> State:
-    """A `State` with leading axes."""
-    blank, given = jnp.zeros((1, 3)), (position, director, normal)
-    tree = jax.tree.structure(State(*(None if x is None else blank for x in given)))
-    return jax.tree.unflatten(tree, [x for x in given if x is not None])
+def _carried(states: State) -> dict[str, Any]:
+    """What states carry beside the positions, by the names that it has in files."""
+    named = values(states, ("own",))
+    own = enumerate(states.own or ())
+    return named | {f"{_OWN}{k}": numbers for k, numbers in own if numbers is not None}
+
+
+def _states(position: jax.Array, others: dict[str, jax.Array]) -> State:
+    """States at several times from the columns of a file."""
+    own = {int(name.removeprefix(_OWN)): x for name, x in others.items() if name.startswith(_OWN)}
+    blank: dict[str, Any] = {p.name: jnp.zeros((1, 3)) for p in PARTS if p.name in others}
+    if own:
+        given = [own.get(k) for k in range(max(own) + 1)]
+        blank["own"] = tuple(None if x is None else jnp.zeros(()) for x in given)
+    tree = jax.tree.structure(with_values(jnp.zeros((1, 3)), blank))
+    rest = [others[part.name] for part in PARTS if part.name in others]
+    return jax.tree.unflatten(tree, [position, *rest, *(own[k] for k in sorted(own))])
 
 
 def compare(path: str | Path, scene: Scene, stepper: Stepper) -> None:

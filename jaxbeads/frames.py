@@ -6,14 +6,13 @@ along by the smallest rotation from each instant to the next. Whichever way a fi
 moves alike.
 """
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from .chain import Chain
-from .geometry import norm, turned, unit
+from .geometry import turned, unit
 from .state import State
 
 
@@ -45,29 +44,25 @@ def normals(state: State, chain: Chain) -> Float[Array, "fibres 3"]:
 
 
 def normal_rate(
-    state: State, velocity: Float[Array, "beads dim"], chain: Chain
-) -> Float[Array, "fibres dim"] | None:
-    """dn/dt = (a x da/dt) x n = -(n . da/dt) a of the normals n that a state holds [1/time]."""
-    if state.normal is None:
-        return None
-    axis, turning = jax.jvp(lambda r: axes(r, chain), (state.position,), (velocity,))
-    return -jnp.sum(state.normal * turning, axis=-1, keepdims=True) * axis
+    normal: Float[Array, "fibres dim"],
+    position: Float[Array, "beads dim"],
+    velocity: Float[Array, "beads dim"],
+    chain: Chain,
+) -> Float[Array, "fibres dim"]:
+    """dn/dt = (a x da/dt) x n = -(n . da/dt) a of normals n [1/time]."""
+    axis, turning = jax.jvp(lambda r: axes(r, chain), (position,), (velocity,))
+    return -jnp.sum(normal * turning, axis=-1, keepdims=True) * axis
+
+
+def upright(
+    normal: Float[Array, "fibres 3"], position: Float[Array, "beads 3"], chain: Chain
+) -> Float[Array, "fibres 3"]:
+    """Normals at length one and normal to their fibres."""
+    return _upright(normal, axes(position, chain))
 
 
 def framed(state: State, chain: Chain) -> State:
     """The state with normals of its fibres, if it holds none."""
     if state.normal is not None:
         return state
-    return State(state.position, state.director, normals(state, chain))
-
-
-def tidy(state: State, chain: Chain, directors: bool) -> State:
-    """Normals at length one and normal to their fibres, and `directors` at length one as well: what time
-    stepping makes of them is exact to its order only."""
-    if state.director is not None and directors:
-        length = norm(state.director)[:, None]
-        state = eqx.tree_at(lambda s: s.director, state, state.director / length)
-    if state.normal is not None:
-        upright = _upright(state.normal, axes(state.position, chain))
-        state = eqx.tree_at(lambda s: s.normal, state, upright)
-    return state
+    return State(state.position, state.director, normals(state, chain), state.own)

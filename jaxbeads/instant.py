@@ -15,12 +15,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from . import carried
 from ._typing import with_all_digits
 from .chain import Chain
 from .flow import AbstractFlow
 from .flow.base import spin_and_strain, velocity_and_gradient
-from .frames import normal_rate
-from .geometry import spin_cross
 from .loops import keep
 from .mobility import Product
 from .saddle import (
@@ -39,7 +38,7 @@ from .state import Load, Motion, State, add_loads, add_motions, zero_motion
 
 def applied_load(t: Time, state: State, scene: Scene) -> Load:
     """Sum of the forces' loads, without those of the constraints."""
-    return add_loads(*(force.load(jnp.asarray(t), state, scene) for force in scene.forces))
+    return add_loads(*(scene.load_of(k, t, state) for k in range(len(scene.forces))))
 
 
 def _fluid(flow: AbstractFlow, t: Time, state: State, scene: Scene) -> tuple[Motion, Array]:
@@ -53,7 +52,7 @@ def _fluid(flow: AbstractFlow, t: Time, state: State, scene: Scene) -> tuple[Mot
     return Motion(velocity, turned), strain
 
 
-def carried(t: Time, state: State, scene: Scene) -> Motion:
+def fluid_motion(t: Time, state: State, scene: Scene) -> Motion:
     """V_inf, the motion of the fluid as the beads feel it."""
     if scene.flow is None:
         return zero_motion(state, scene.rotational)
@@ -221,16 +220,10 @@ def rate(t: Time, state: State, scene: Scene, known: Solved | None = None) -> St
     """Time derivative of the state: the right-hand side that the solvers integrate, eqs (38), (48).
     Derivatives of an instant that is `known` take it as it is."""
     moved = evaluation(jnp.asarray(t), state, scene, known).motion
-    return moving(moved, state, scene.chain)
+    return moving(state, moved, scene.chain, scene.own_rate(t, state))
 
 
-def moving(moved: Motion, state: State, chain: Chain) -> State:
-    """Rate of change of the state in a motion."""
-    turning = normal_rate(state, moved.velocity, chain)
-    if state.director is None:
-        return State(moved.velocity, None, turning)
-    if moved.spin is None:
-        raise ValueError(
-            "Argument `state` must hold no directors, but no term of the scene turns beads."
-        )
-    return State(moved.velocity, spin_cross(moved.spin, state.director), turning)
+def moving(state: State, moved: Motion, chain: Chain, own: Any = None) -> State:
+    """Rate of change of a state in a motion, and of what forces own."""
+    change = carried.moving(state, moved, chain)
+    return change if own is None else eqx.tree_at(lambda s: s.own, change, own)

@@ -8,15 +8,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ._checks import fail
-from .coordinates import Coordinates
+from .coordinates import AbstractCoordinates
 from .flow import AbstractFlow
 from .flow.base import spin_and_strain, velocity_and_gradient
 from .instant import (
     Solved,
     applied_load,
-    carried,
     derivative,
     evaluation,
+    fluid_motion,
     free_motion,
     moving,
     rate,
@@ -52,7 +52,7 @@ class Linearisation(NamedTuple):
 def coordinate_rate(
     t: Time,
     x: Float[Array, " numbers"],
-    coordinates: Coordinates,
+    coordinates: AbstractCoordinates,
     scene: Scene,
     known: Solved | None = None,
 ) -> Float[Array, " numbers"]:
@@ -63,7 +63,7 @@ def coordinate_rate(
 
 def coordinate_derivative(
     t: Time,
-    coordinates: Coordinates,
+    coordinates: AbstractCoordinates,
     scene: Scene,
     known: Solved,
     along: tuple[Float[Array, ""], Float[Array, " numbers"]],
@@ -74,14 +74,15 @@ def coordinate_derivative(
     found = evaluation(t, state, scene, known)
     moving_on = derivative(t, state, scene, found, known.solver, (later, change))
 
-    def rate(x: Array, moved: Motion) -> Array:
+    def rate(t: Array, x: Array, moved: Motion) -> Array:
         state = coordinates.state(x)
-        return coordinates.rate(x, state, moving(moved, state, scene.chain))
+        own = scene.own_rate(t, state)
+        return coordinates.rate(x, state, moving(state, moved, scene.chain, own))
 
-    return jax.jvp(rate, (x, found.motion), (shift, moving_on))[1]
+    return jax.jvp(rate, (jnp.asarray(t), x, found.motion), (later, shift, moving_on))[1]
 
 
-def linearise(t: Time, coordinates: Coordinates, scene: Scene) -> Linearisation:
+def linearise(t: Time, coordinates: AbstractCoordinates, scene: Scene) -> Linearisation:
     """The rate of the coordinates at x = 0 with its exact derivatives.
 
     The saddle-point system is differentiated, not its solution: with multipliers and motion held,
@@ -105,18 +106,24 @@ def linearise(t: Time, coordinates: Coordinates, scene: Scene) -> Linearisation:
     if solver is not None:
         system = SaddlePoint(operator, constraint_map(t, state, scene), solver)
 
-    def still(motion: Motion) -> Array:
-        return coordinates.rate(coordinates.origin, state, moving(motion, state, scene.chain))
+    x = coordinates.origin
+
+    def whole(t: Array, motion: Motion) -> Array:
+        own = scene.own_rate(t, state)
+        return coordinates.rate(x, state, moving(state, motion, scene.chain, own))
 
     later = _drift(t, state, scene, operator, system, moved)
-    drift = jnp.zeros_like(coordinates.origin) if later is None else still(later)
+    drift = jnp.zeros_like(x)
+    if later is not None or state.own is not None:
+        later = jax.tree.map(jnp.zeros_like, moved) if later is None else later
+        drift = jax.jvp(whole, (t, moved), (jnp.ones_like(t), later))[1]
     jacobian = _jacobian(t, coordinates, scene, system, operator, known.evaluation)
-    return Linearisation(still(moved), drift, jacobian, known)
+    return Linearisation(whole(t, moved), drift, jacobian, known)
 
 
 def _jacobian(
     t: Array,
-    coordinates: Coordinates,
+    coordinates: AbstractCoordinates,
     scene: Scene,
     system: SaddlePoint | None,
     operator: Product,
@@ -132,10 +139,11 @@ def _jacobian(
         moved = _hold_columns(t, state, shifts, scene, system, held, moved)
 
     def turned(at: tuple[Array, State]) -> Array:
-        return coordinates.rate(*at, moving(held, at[1], scene.chain))
+        own = scene.own_rate(t, at[1])
+        return coordinates.rate(*at, moving(at[1], held, scene.chain, own))
 
     def still(motion: Motion) -> Array:
-        return coordinates.rate(x, state, moving(motion, state, scene.chain))
+        return coordinates.rate(x, state, moving(state, motion, scene.chain))
 
     columns = jax.vmap(still)(moved) + _columns(turned, (x, state), (units, shifts))
     return columns.T
@@ -196,7 +204,7 @@ def _explicit_columns(
     if interactions is not None:
         moved = add_motions(moved, interactions)
     if scene.flow is not None:
-        moved = add_motions(moved, _columns(lambda s: carried(t, s, scene), state, shifts))
+        moved = add_motions(moved, _columns(lambda s: fluid_motion(t, s, scene), state, shifts))
     # Loads that are the same everywhere, as weights, have no columns.
     parts = {name: part for name, part in vars(load(state)).items() if part is not None}
     varying = [n for n, r in zip(parts, reached(load, state), strict=True) if r]

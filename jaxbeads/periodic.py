@@ -10,7 +10,6 @@ from jaxtyping import Array, Bool, Float
 
 from ._checks import fail, known, positive, whole
 from ._typing import with_all_digits
-from .geometry import normals
 from .instant import Time
 from .rollout import default_solver, rollout
 from .scene import Scene, check
@@ -131,31 +130,30 @@ class _Figure(eqx.Module):
     points: Array
     vectors: Array
     loose: Array  # vectors of any length
+    numbers: tuple[Array, ...]  # which do not turn
 
     def turned(self, matrix: Array) -> "_Figure":
         points = self.points - self.points[:1]
-        return _Figure(points @ matrix, self.vectors @ matrix, self.loose @ matrix)
+        return _Figure(points @ matrix, self.vectors @ matrix, self.loose @ matrix, self.numbers)
+
+    def turning(self, matrix: Array) -> "_Figure":
+        """Its change in a turn along an antisymmetric matrix."""
+        numbers = jax.tree.map(jnp.zeros_like, self.numbers)
+        return eqx.tree_at(lambda f: f.numbers, self.turned(matrix), numbers)
 
     def coordinates(self, shape: Shape, moving: bool) -> Array:
         """As changes of the shape's coordinates."""
-        directions, points = shape.chart.direction, self.points
-        parts = [(points - points[:1] if moving else points).ravel()]
-        if directions is not None:
-            parts.append(jnp.einsum("rd,rnd->rn", self.vectors, normals(directions)).ravel())
-        return shape.drop(jnp.concatenate([*parts, self.loose.ravel()]))
+        points = self.points - self.points[:1] if moving else self.points
+        turns = shape.chart.sideways(self.vectors)
+        parts = points, turns, self.loose, *self.numbers
+        return shape.drop(jnp.concatenate([part.ravel() for part in parts]))
 
 
 def _figure(shape: Shape, state: State) -> _Figure:
-    chart, dim = shape.chart, state.position.shape[1]
-    none = jnp.zeros((0, dim), state.position.dtype)
-    carried = [v for v in (state.director, state.normal) if v is not None]
-    if chart.constraint is None:
-        return _Figure(state.position, none, jnp.concatenate([none, *carried]))
-    directions = chart.constraint.directions(state, chart.chain)
-    if chart.constraint.oriented:
-        carried = [v for v in (state.normal,) if v is not None]
-    loose = jnp.concatenate([none, *carried])
-    return _Figure(chart.places(state.position), directions, loose)
+    chart = shape.chart
+    loose = jnp.concatenate([state.position[:0], *chart.loose(state)])
+    points, directions = chart.points(state.position), chart.directions(state)
+    return _Figure(points, directions, loose, tuple(jax.tree.leaves(state.own)))
 
 
 def _rotation(first: _Figure, last: _Figure) -> Array:
@@ -217,7 +215,9 @@ def _solve(
         apart = jax.tree.map(jnp.subtract, last, first).coordinates(shape, moving)
         # What is left of a turn, apart = sum of c_k (first turned by W_k), does not count.
         still, matrices = lax.stop_gradient(first), jnp.asarray(generators(dim))
-        basis = jax.vmap(lambda w: still.turned(w).coordinates(shape, moving), out_axes=1)(matrices)
+        basis = jax.vmap(lambda w: still.turning(w).coordinates(shape, moving), out_axes=1)(
+            matrices
+        )
         left = jnp.linalg.pinv(basis) @ apart
         rotation = back @ (jnp.eye(dim) - jnp.einsum("k,kij->ij", left, matrices))
         # Of all the shapes that are turned copies the one that lies best on the start is meant.

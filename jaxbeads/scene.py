@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ._checks import described, fail, finite, kind, known
+from ._typing import float_array
 from .coincidence import overlaid
 from .constraint import AbstractConstraint, Joint
 from .flow import AbstractFlow
@@ -19,7 +20,7 @@ from .frames import framed
 from .geometry import smallest_gap
 from .mobility import RPY, AbstractMobility, Operator
 from .setting import Setting
-from .state import State
+from .state import Load, State
 
 _UNIT = 0.01
 """How far the length of a director may be off one."""
@@ -80,9 +81,39 @@ class Scene(Setting):
     def begin(self, state: State) -> State:
         """A state with all that the terms need: normals of its fibres, where a drive acts along them."""
         planar = state.position.shape[1] == 2
-        if planar or not any(force.framed(self.chain) for force in self.forces):
+        if not planar and any(force.framed(self.chain) for force in self.forces):
+            state = framed(state, self.chain)
+        own = self._begun(state)
+        if state.own is not None or own is None:
             return state
-        return framed(state, self.chain)
+        return eqx.tree_at(lambda s: s.own, state, own, is_leaf=lambda x: x is None)
+
+    def _begun(self, state: State) -> tuple[Array | None, ...] | None:
+        """What the forces own at the start; `None` if nothing."""
+        numbers = (force.begin(state, self) for force in self.forces)
+        own = tuple(None if x is None else float_array(x) for x in numbers)
+        return None if all(x is None for x in own) else own
+
+    def _owning(self, index: int, state: State) -> State:
+        """The state as a force sees it, with its own numbers alone."""
+        every = self._begun(state) if state.own is None else state.own
+        if every is None:
+            return state
+        return State(state.position, state.director, state.normal, every[index])
+
+    def load_of(self, index: int, t: Any, state: State) -> Load:
+        """The load of one of the forces."""
+        return self.forces[index].load(jnp.asarray(t), self._owning(index, state), self)
+
+    def own_rate(self, t: Any, state: State) -> tuple[Array | None, ...] | None:
+        """Rate of change of what the forces own [1/time]."""
+        if state.own is None:
+            return None
+        seen = [self._owning(k, state) for k in range(len(self.forces))]
+        return tuple(
+            None if s.own is None else force.own_rate(jnp.asarray(t), s, self)
+            for force, s in zip(self.forces, seen, strict=True)
+        )
 
 
 def _check_kinds(name: str, terms: Any, wanted: type) -> None:
@@ -162,6 +193,7 @@ def check(
         names = [type(t).__name__ for t in (*scene.constraints, *scene.forces) if t.oriented]
         must = f"hold directors for {' and '.join(names)}"
         fail("state", must, "it holds none (`from_directors` makes such a state)")
+    _check_own(scene, state)
     for leaf in jax.tree.leaves(scene):
         if position.dtype == jnp.float32 and getattr(leaf, "dtype", None) == jnp.float64:
             fail("scene", "be in float32 as the state is", "it holds numbers in float64")
@@ -192,6 +224,16 @@ def check(
         if gap < -0.01 * radii.min():
             must = "hold no overlapping beads in this scene"
             fail("state", must, f"beads {i} and {j} overlap by {-gap:.3g}")
+
+
+def _check_own(scene: Scene, state: State) -> None:
+    """Refuse numbers that the scene's forces do not own."""
+    if state.own is None:
+        return
+    wanted = jax.tree.map(jnp.shape, scene._begun(state))
+    given = jax.tree.map(jnp.shape, state.own)
+    if given != wanted:
+        fail("state.own", f"have the shapes {wanted} of what the forces own", f"it has {given}")
 
 
 def _check_inside(scene: Scene, position: Array) -> None:

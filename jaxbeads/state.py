@@ -4,6 +4,8 @@ Arrays have one row per bead. `dim` is 2 (a planar scene) or 3; `spins` is 1 or 
 plane a bead turns about the normal only, in the same three-dimensional fluid.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -22,6 +24,10 @@ class State(eqx.Module):
       the scene needs orientations.
     - `normal`: a unit vector normal to each fibre in space, shape `(fibres, 3)`, which turns with it
       without spin, or `None` (see `frames`). A run adds it where a drive acts along such normals.
+    - `own`: numbers that forces own, one array (or `None`) for each force of the scene, or `None` (see
+      `AbstractForce.begin`). A run adds them; a force finds its own array here.
+
+    The rules of all but the positions are in `carried`.
 
     **Raises** `ValueError` for a position that is not of shape `(beads, 2 or 3)`, another shape of the
     directors, and numbers that are not finite.
@@ -34,6 +40,7 @@ class State(eqx.Module):
     normal: Float[Array, "fibres dim"] | None = eqx.field(
         converter=optional_float_array, default=None
     )
+    own: Any = None
 
     def __check_init__(self) -> None:
         shape = self.position.shape

@@ -10,9 +10,10 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
+from . import carried
 from ._checks import known, positive, whole
 from ._typing import with_all_digits
-from .coordinates import Coordinates, coordinates
+from .coordinates import AbstractCoordinates, coordinates
 from .faults import REMEDY, not_finite, not_smooth
 from .instant import Time
 from .linearise import coordinate_rate, linearise
@@ -45,7 +46,7 @@ class Shape(eqx.Module):
     """Coordinates y of shapes about one of them: those of `chart` relative to the first place, places in
     units of the fibre's length."""
 
-    chart: Coordinates
+    chart: AbstractCoordinates
     scale: Array
     fixed: int = eqx.field(static=True)
 
@@ -77,11 +78,11 @@ class Shape(eqx.Module):
     def turns(self) -> Float[Array, "numbers turns"]:
         """dy in turns of the whole about each axis."""
         start = self.chart.start
-        place = self.chart.places(start.position)[:1]
+        place = self.chart.points(start.position)[:1]
         arms = eqx.tree_at(lambda s: s.position, start, start.position - place)
 
         def turned(matrix: Array) -> Array:
-            return self.change(start, jax.tree.map(lambda x: x @ matrix, arms))
+            return self.change(start, carried.turned(arms, matrix))
 
         dim = start.position.shape[1]
         return jax.vmap(turned, out_axes=1)(jnp.asarray(generators(dim), start.position.dtype))
@@ -90,10 +91,7 @@ class Shape(eqx.Module):
 def shape_about(scene: Scene, state: State, moving: bool) -> Shape:
     """Coordinates of shapes about that of a state; of all places, unless it is `moving` as a whole."""
     chart = coordinates(scene, state)
-    places, *others = chart.sizes
-    scale = jnp.ones(places + sum(others), state.position.dtype)
-    scale = scale.at[:places].set(jnp.max(scene.chain.length))
-    return Shape(chart, scale, state.position.shape[1] if moving else 0)
+    return Shape(chart, chart.units, state.position.shape[1] if moving else 0)
 
 
 def generators(dim: int) -> np.ndarray:
@@ -238,7 +236,7 @@ def _along(shape: Shape, begun: Shape, start: State, free: Array) -> tuple[Array
     turns, turns_begun = (s.turns() * free[:, None] for s in (shape, begun))
     angles = jnp.linalg.pinv(turns_begun, rtol=1e-6) @ begun.change(start, change)
     y = y + turns @ (angles - jnp.linalg.pinv(turns, rtol=1e-6) @ y)
-    place = shape.chart.places(change.position)[:1]
+    place = shape.chart.points(change.position)[:1]
     return y, place if shape.fixed else 0 * place
 
 

@@ -171,7 +171,7 @@ def felt(make, function, t=0.7):
     check(scene, state)
     t = jnp.asarray(t)
     slip = slips(t, state, scene)(zero_motion(state, True))
-    return slip, dynamics.applied_load(t, state, scene), dynamics.carried(t, state, scene)
+    return slip, dynamics.applied_load(t, state, scene), dynamics.fluid_motion(t, state, scene)
 
 
 def same(one, other, tolerance=1e-13):

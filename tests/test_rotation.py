@@ -293,7 +293,7 @@ def test_normals_turn_without_spin():
     def rate(t, normal):
         beads = 2 * jnp.arange(4.0)[:, None]
         place, velocity = jax.jvp(lambda t: beads * direction(t)[None], (t,), (1.0,))
-        return frames.normal_rate(State(place, None, normal), velocity, chain)
+        return frames.normal_rate(normal, place, velocity, chain)
 
     n, steps = state.normal, 2000
     h = 2 * np.pi / steps
@@ -352,7 +352,7 @@ def test_spheres_feel_a_curved_flow_as_its_mean_over_their_surface():
         for radius in (0.5, 1.0):
             centre = jnp.array([0.4, 0.9, -0.3])
             model = Scene(Chain(radius, 1), 1.0, constraints=[PrescribedSpin()], flow=flow)
-            fluid = dynamics.carried(0.0, State(centre[None]), model)
+            fluid = dynamics.fluid_motion(0.0, State(centre[None]), model)
             u = np.stack([flow.velocity(jnp.zeros(()), centre + radius * x) for x in n])
             mean = w @ u
             turning = 1.5 / radius * w @ np.cross(n, u)

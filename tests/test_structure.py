@@ -25,6 +25,7 @@ ORDER = [
     {"tensors"},
     {"chain", "flow", "actuation", "numbers"},
     {"frames", "setting"},
+    {"carried"},
     {"mobility", "constraint", "force", "coincidence"},
     {"scene"},
     {"windows"},

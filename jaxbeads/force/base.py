@@ -41,6 +41,15 @@ class AbstractForce(eqx.Module):
         the way, but at neither end: such a step is tried again with a smaller one."""
         return jnp.zeros((), bool)
 
+    def begin(self, state: State, scene: Setting) -> Float[Array, "..."] | None:
+        """Numbers of order one, any shape, that the force owns: they start from these, change at
+        `own_rate`, and are in `state.own` where the force is asked. `None`: it owns nothing."""
+        return None
+
+    def own_rate(self, t: Float[Array, ""], state: State, scene: Setting) -> Float[Array, "..."]:
+        """Rate of change of what the force owns [1/time]."""
+        return jnp.zeros_like(state.own)
+
     def framed(self, chain: Chain) -> bool:
         """Whether it acts along the normals of fibres in space, see `frames`."""
         return False
@@ -64,7 +73,7 @@ class AbstractPotential(AbstractForce):
         """F = -dE/dr."""
 
         def energy(position: Array) -> Array:
-            return self.energy(t, State(position, state.director, state.normal), scene)
+            return self.energy(t, eqx.tree_at(lambda s: s.position, state, position), scene)
 
         return Load(force=-jax.grad(energy)(state.position))
 

@@ -12,7 +12,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from .._typing import with_all_digits
-from ..coordinates import Coordinates, coordinates
+from ..coordinates import AbstractCoordinates, coordinates
 from ..factors import lu, triangular_solve
 from ..instant import Solved, solved
 from ..linearise import coordinate_derivative, coordinate_rate, linearise
@@ -78,7 +78,7 @@ class _Interpolation(diffrax.AbstractLocalInterpolation):
 
     t0: Any
     t1: Any
-    coordinates: Coordinates
+    coordinates: AbstractCoordinates
     x1: Array
     bend: Array
 
@@ -181,14 +181,14 @@ def _rows(dtype: Any) -> tuple[Array, ...]:
 
 
 @eqx.filter_custom_jvp
-def _stages(t0: Array, h: Array, chart: Coordinates, scene: Scene) -> _Stages:
+def _stages(t0: Array, h: Array, chart: AbstractCoordinates, scene: Scene) -> _Stages:
     """The vectors u of a step from the origin of a chart."""
     return _solved(t0, h, chart, scene)
 
 
 @eqx.filter_jit
 @with_all_digits
-def _solved(t0: Array, h: Array, chart: Coordinates, scene: Scene) -> _Stages:
+def _solved(t0: Array, h: Array, chart: AbstractCoordinates, scene: Scene) -> _Stages:
     about, x0 = linearise(t0, chart, scene), chart.origin
     # In units of their own: the pivots of lengths and angles must not depend on the unit of length.
     units = chart.units
@@ -227,7 +227,7 @@ def _stages_jvp(primals: Any, tangents: Any) -> tuple[_Stages, _Stages]:
     us, x0, factor, instants = found.us, chart.origin, found.factor, found.instants
     first = jax.tree.map(lambda x: x[0], instants)
 
-    def along(t0: Array, h: Array, chart: Coordinates, scene: Scene) -> Array:
+    def along(t0: Array, h: Array, chart: AbstractCoordinates, scene: Scene) -> Array:
         """G, all stages."""
         shifts = h * jnp.asarray(_DRIFT, x0.dtype), us
         return jax.vmap(lambda s: coordinate_derivative(t0, chart, scene, first, s))(shifts)
@@ -251,7 +251,7 @@ def _stages_jvp(primals: Any, tangents: Any) -> tuple[_Stages, _Stages]:
     def stage(moved: Array, row: Any) -> tuple[Array, None]:
         (index, a, c, alpha, _), fixed, known = row
 
-        def rate(x: Array, t0: Array, h: Array, chart: Coordinates, scene: Scene) -> Array:
+        def rate(x: Array, t0: Array, h: Array, chart: AbstractCoordinates, scene: Scene) -> Array:
             return coordinate_rate(t0 + alpha * h, x, chart, scene, known)
 
         f, f_moved = eqx.filter_jvp(rate, (a @ us, *primals), (a @ moved, *tangents))

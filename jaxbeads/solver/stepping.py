@@ -269,7 +269,7 @@ def _larger(error: Any, by: Array) -> State:
     still = length == 0
     longer = vectors * (1 + by / jnp.where(still, 1.0, length))
     longer = jnp.where(still, by / vectors.shape[1] ** 0.5, longer)
-    return State(longer, error.director, error.normal)
+    return eqx.tree_at(lambda e: e.position, error, longer)
 
 
 _Turn = tuple[Array, Array, _Adaptive]

@@ -5,6 +5,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..carried import parts
 from ..chain import Chain
 from ..geometry import norm
 from ..state import State
@@ -12,7 +13,7 @@ from ..state import State
 
 class LargestError(eqx.Module):
     """Norm of the error of a state: how far the worst bead is off, or the tip of an arm that turns with
-    its director [length].
+    what it carries [length].
 
     **Argument**: `arm`, its length.
     """
@@ -22,9 +23,8 @@ class LargestError(eqx.Module):
     def __call__(self, error: State) -> Float[Array, ""]:
         """The largest."""
         worst = jnp.max(norm(error.position))
-        for turned in (error.director, error.normal):
-            if turned is not None:
-                worst = jnp.maximum(worst, self.arm * jnp.max(norm(turned)))
+        for part in parts(error):
+            worst = jnp.maximum(worst, part.off(getattr(error, part.name), self.arm))
         return worst
 
 

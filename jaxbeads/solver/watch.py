@@ -187,9 +187,14 @@ def _terms(scene: Scene) -> list[tuple[Acting, bool]]:
             found.append(load.torque / (8 * np.pi * viscosity * radii**2))
         return found
 
+    def own(rates: Any) -> list[Array]:
+        return [jnp.max(chain.length) * x.reshape(-1, 1) for x in jax.tree.leaves(rates)]
+
     terms: list[tuple[Acting, bool]] = []
-    for force in scene.forces:
-        terms.append((lambda t, s, f=force: loaded(f.load(t, s, scene)), force.smooth))
+    for k, force in enumerate(scene.forces):
+        terms.append((lambda t, s, k=k: loaded(scene.load_of(k, t, s)), force.smooth))
+    # Numbers of order one, which count as turns of a fibre.
+    terms.append((lambda t, s: own(scene.own_rate(t, s)), True))
     for constraint in scene.constraints:
         # A rate of turning moves the end of a fibre.
         arm = jnp.max(chain.length) if constraint.turning else 1.0

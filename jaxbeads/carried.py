@@ -1,0 +1,133 @@
+"""What a state carries beside the positions: one class for each part, with all of its rules.
+
+How a part changes in a motion, how the errors of time stepping are cleared from it, what its error is
+as a length, whether it turns with the whole. Solvers, coordinates and steady states ask here and know
+no part by name. A new part (a material frame, say) is a field of `State`, a class here and a line in
+`PARTS`.
+"""
+
+import abc
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float
+
+from .chain import Chain
+from .frames import normal_rate, upright
+from .geometry import norm, spin_cross
+from .state import Motion, State
+
+
+class AbstractPart(abc.ABC):
+    """The rules of one part."""
+
+    name: str
+    """Of the field of `State`."""
+    words: str
+    """What it is called in a sentence."""
+    vectors: bool = True
+    """Whether it consists of vectors `(..., dim)` that turn with the whole."""
+
+    @abc.abstractmethod
+    def rate(self, value: Any, state: State, motion: Motion, chain: Chain) -> Any:
+        """Its rate of change in a motion of the beads, linear in the motion."""
+
+    def tidy(self, value: Any, state: State, chain: Chain) -> Any:
+        """Its value without what time stepping, exact to its order only, has added."""
+        return value
+
+    def off(self, error: Any, arm: Float[Array, ""]) -> Float[Array, ""]:
+        """How far an error of it puts the end of an arm off [length]."""
+        return arm * jnp.max(norm(error))
+
+
+class _Directors(AbstractPart):
+    name, words = "director", "the orientations"
+
+    def rate(self, value: Any, state: State, motion: Motion, chain: Chain) -> Array:
+        """w x p."""
+        if motion.spin is None:
+            raise ValueError(
+                "Argument `state` must hold no directors, but no term of the scene turns beads."
+            )
+        return spin_cross(motion.spin, value)
+
+    def tidy(self, value: Any, state: State, chain: Chain) -> Array:
+        """Of length one."""
+        return value / norm(value)[:, None]
+
+
+class _Normals(AbstractPart):
+    name, words = "normal", "the normals"
+
+    def rate(self, value: Any, state: State, motion: Motion, chain: Chain) -> Array:
+        """Without spin about the fibre, see `frames`."""
+        return normal_rate(value, state.position, motion.velocity, chain)
+
+    def tidy(self, value: Any, state: State, chain: Chain) -> Array:
+        """Of length one and normal to the fibres."""
+        return upright(value, state.position, chain)
+
+
+class _Own(AbstractPart):
+    name, words, vectors = "own", "the terms' own numbers", False
+
+    def rate(self, value: Any, state: State, motion: Motion, chain: Chain) -> Any:
+        """None by the motion: `Scene.own_rate` adds theirs."""
+        return jax.tree.map(jnp.zeros_like, value)
+
+    def off(self, error: Any, arm: Float[Array, ""]) -> Float[Array, ""]:
+        """Numbers of order one."""
+        return arm * jnp.max(jnp.abs(ravel_pytree(error)[0]), initial=0.0)
+
+
+PARTS: tuple[AbstractPart, ...] = (_Directors(), _Normals(), _Own())
+
+
+def parts(state: State, besides: tuple[str, ...] = ()) -> list[AbstractPart]:
+    """The parts that a state has, but for some."""
+    return [p for p in PARTS if p.name not in besides and getattr(state, p.name) is not None]
+
+
+def values(state: State, besides: tuple[str, ...] = ()) -> dict[str, Any]:
+    """The parts' values by their names."""
+    return {part.name: getattr(state, part.name) for part in parts(state, besides)}
+
+
+def with_values(position: Array, given: dict[str, Any]) -> State:
+    """A state of positions and of parts by their names."""
+    return State(position, *(given.get(part.name) for part in PARTS))
+
+
+def moving(state: State, motion: Motion, chain: Chain) -> State:
+    """Rate of change of a state in a motion, linear in the motion."""
+    rates = {
+        part.name: part.rate(getattr(state, part.name), state, motion, chain)
+        for part in parts(state)
+    }
+    return with_values(motion.velocity, rates)
+
+
+def tidied(state: State, chain: Chain, besides: tuple[str, ...] = ()) -> State:
+    """The state without what time stepping has added to its parts, but for some."""
+    for part in parts(state, besides):
+        clean = part.tidy(getattr(state, part.name), state, chain)
+        state = eqx.tree_at(lambda s, n=part.name: getattr(s, n), state, clean)
+    return state
+
+
+def turned(state: State, matrix: Float[Array, "dim dim"]) -> State:
+    """The rate of a state that turns as a whole: vectors times an antisymmetric matrix."""
+    rates = {
+        part.name: value @ matrix if part.vectors else jax.tree.map(jnp.zeros_like, value)
+        for part, value in ((part, getattr(state, part.name)) for part in parts(state))
+    }
+    return with_values(state.position @ matrix, rates)
+
+
+def vectors(state: State, besides: tuple[str, ...] = ()) -> list[Float[Array, "rows dim"]]:
+    """The values that turn with the whole, but for some."""
+    return [getattr(state, part.name) for part in parts(state, besides) if part.vectors]
