@@ -166,8 +166,10 @@ class Solution(eqx.Module):
 def _shapes(states: State) -> Iterator[tuple[str, tuple[int, ...]]]:
     for field in dataclasses.fields(states):
         value = getattr(states, field.name)
-        if value is not None:
-            yield field.name, np.shape(value)
+        several = enumerate(value) if isinstance(value, tuple) else ((None, value),)
+        for index, part in several:
+            if part is not None:
+                yield field.name if index is None else f"{field.name}[{index}]", np.shape(part)
 
 
 def _text(value: Any, form: str, of: Callable[[Any], Any] | None = None) -> str:

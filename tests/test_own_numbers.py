@@ -107,8 +107,10 @@ def test_it_is_saved_and_resumed(tmp_path, options):
     part = tmp_path / "part.h5"
     stops = {"file": part, "chunk": 2, "progress": False, **options}
     simulate(scene, START, ts, until=lambda run: len(run.ts) > 3, **stops)
-    again = jb.resume(part, scene, progress=False, **options)
+    jb.resume(part, scene, progress=False, **options)
+    again = jb.load(part)
     assert jax.tree.all(jax.tree.map(np.array_equal, again.states, whole.states))
+    assert "own[1] (9,)" in again.summary()
 
 
 def test_exact_derivatives_of_an_implicit_step():
