@@ -12,7 +12,6 @@ A file appears under its name when its first state is written, in one piece, and
 an older one of that name is as it was. While a run writes, HDF5 holds a lock; others are turned away.
 """
 
-import dataclasses
 import itertools
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -27,6 +26,7 @@ import numpy as np
 
 from ._checks import fail
 from .contents import Contents
+from .outcome import Outcome
 from .places import (
     Place,
     in_use,
@@ -46,7 +46,7 @@ from .state import State
 FORMAT = 1
 _COLUMNS = ("t", "position", "residual", "bond_length_error")
 _OPTIONAL = ("director", "normal")
-_LIMITS = ("max_steps",)
+_LIMITS = ("solver.max_steps",)
 """What decides on no number of a run that ends well, and may be another when it is resumed."""
 
 
@@ -55,8 +55,7 @@ def _leaves(tree: Any) -> list[np.ndarray]:
 
 
 def _contents(scene: Scene, stepper: Stepper) -> Contents:
-    options = {f.name: getattr(stepper, f.name) for f in dataclasses.fields(stepper)}
-    return Contents(_LIMITS, scene=scene, **options)
+    return Contents(_LIMITS, scene=scene, solver=stepper.solver)
 
 
 class DamagedFile(ValueError):
@@ -117,7 +116,7 @@ class TrajectoryFile:
         """Write what is known before the first state."""
         handle, contents = self.handle, _contents(scene, stepper)
         handle.attrs["format"] = FORMAT
-        handle.attrs["solver"] = type(stepper.solver).__name__
+        handle.attrs["solver"] = stepper.solver.name
         handle["model"] = contents.text()
         handle.attrs["versions"] = f"jax {jax.__version__}, h5py {h5py.__version__}"
         handle["ts"] = np.asarray(ts)
@@ -217,7 +216,7 @@ def load(path: str | Path) -> Solution:
             ts,
             batch_state(position, **vectors),
             jnp.asarray(steps, int),  # with a type, or it would be a weak one
-            jnp.zeros((), int),
+            jnp.asarray(int(Outcome.FINE), int),
             residual,
             error,
             wall,

@@ -15,12 +15,12 @@ PACKAGE = Path(jaxbeads.__file__).parent
 ORDER = [
     {"plain"},
     {"_compat"},
-    {"_typing", "_checks", "loops", "programs"},
+    {"_typing", "_checks", "loops", "programs", "outcome"},
     {"_functions"},
     {"factors", "iterations", "units", "optimum"},
     {"vary", "optimise", "chunks", "cache", "contents", "places"},
     {"state", "geometry"},
-    {"pairs", "solution"},
+    {"pairs"},
     {"tensors"},
     {"chain", "flow", "actuation", "numbers"},
     {"frames"},
@@ -32,6 +32,7 @@ ORDER = [
     {"dynamics"},
     {"linearise", "observables", "faults"},
     {"solver", "steady"},
+    {"solution"},
     {"rollout"},
     {"breakdown", "files", "objectives", "periodic"},
     {"simulate"},
@@ -39,7 +40,7 @@ ORDER = [
     {"__main__"},
 ]
 # What the files of a sub-package may import from one another.
-SHARED = {"solver": {"ab3", "watch"}, "force": {"base", "curvature"}, "scenes": {"case", "models"}}
+SHARED = {"solver": {"base", "watch"}, "force": {"base", "curvature"}, "scenes": {"case", "models"}}
 RANK = {name: rank for rank, row in enumerate(ORDER) for name in row}
 
 
