@@ -32,6 +32,7 @@ from jaxbeads.files import DamagedFile
 from jaxbeads.flow import OscillatingShear
 from jaxbeads.force import Bending, ForceField, Weight
 from jaxbeads.solution import Ending
+from jaxbeads.solver import Diffrax, Rosenbrock
 
 CHAIN = Chain(1.0, 4)
 START = bent(CHAIN)
@@ -117,9 +118,9 @@ def test_solvers_are_named(runs):
         "Rosenbrock",
         "Rosenbrock",
     ]
-    for solver in (diffrax.Heun(), AB3()):
-        pure = jax.jit(lambda s=solver: rollout(model(), START, TIMES, solver=s, substeps=2))()
-        assert pure.solver == type(solver).__name__
+    for solver in (Diffrax(diffrax.Heun(), substeps=2), AB3(substeps=2)):
+        pure = jax.jit(lambda s=solver: rollout(model(), START, TIMES, solver=s))()
+        assert pure.solver == solver.name
 
 
 def test_a_solution_prints_itself(runs):
@@ -230,7 +231,9 @@ def test_results_are_copied_whole(runs, way):
         scene,
         START,
         CHAIN,
-        AB3(),
+        AB3(substeps=3),
+        Rosenbrock(tolerance=1e-5, max_steps=10),
+        Diffrax(diffrax.Tsit5(), projected=False),
         OPTIMUM,
         steady_state(drifting, START),
         periodic_state(swaying, START, 1.0, substeps=20, accuracy=1e-4),

@@ -1,7 +1,7 @@
 """What a solver is: the scheme of a step, what it can do, and the options by which steps are chosen."""
 
 import abc
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import diffrax
 import equinox as eqx
@@ -88,7 +88,7 @@ class AbstractSolver(eqx.Module):
         """Whether a step needs derivatives of the scene's terms."""
         return self.needs_matrix
 
-    def tuned(self, controller: diffrax.AbstractStepSizeController) -> Self:
+    def tuned(self, controller: diffrax.AbstractStepSizeController) -> "AbstractSolver":
         """The same, with what its scheme takes from the controller."""
         return self
 

@@ -1,7 +1,6 @@
 """Solvers of `diffrax`, with options."""
 
 import dataclasses
-from typing import Self
 
 import diffrax
 import equinox as eqx
@@ -66,7 +65,7 @@ class Diffrax(AbstractSolver):
         ]
         return numbers + ([] if callable(getattr(finder, "norm", None)) else ["norm"])
 
-    def tuned(self, controller: diffrax.AbstractStepSizeController) -> Self:
+    def tuned(self, controller: diffrax.AbstractStepSizeController) -> AbstractSolver:
         """The same, with a root finder that is as accurate as the controller asks."""
         names = self._missing
         if not names:
