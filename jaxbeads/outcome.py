@@ -16,7 +16,7 @@ class Outcome(IntEnum):
         one._value_, one.sentence = number, sentence
         return one
 
-    NOT_RUN = -1, "Not run: Ctrl-C came before."
+    NOT_RUN = -1, "Not run: interrupted."
     FINE = 0, "All numbers are finite, bonds kept their lengths, and prescribed motion its laws."
     TOO_MANY_STEPS = 1, "More than `max_steps` steps between two times."
     GAVE_UP = 2, "The solver gave up."
@@ -29,8 +29,9 @@ class Outcome(IntEnum):
     )
 
 
-def sentence_of(code: int) -> str:
-    """What a code means, also one that is none, as in a difference of solutions."""
-    if code in set(Outcome):
-        return Outcome(code).sentence
-    return "Not one of a run."
+def meaning(code: int) -> str:
+    """What a code means, within a sentence; also of one that is none, as in a difference of two."""
+    if code not in set(Outcome):
+        return "not one of a run"
+    sentence = Outcome(code).sentence
+    return sentence[0].lower() + sentence[1:].rstrip(".")

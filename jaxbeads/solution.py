@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, Int
 
 from ._checks import known
 from ._typing import optional_float_array
-from .outcome import Outcome, sentence_of
+from .outcome import Outcome, meaning
 from .solver import AbstractSolver
 from .state import State
 
@@ -144,7 +144,7 @@ class Solution(eqx.Module):
         if given:
             lines.append(", ".join(given))
         codes = [int(c) for c in np.unique(np.asarray(self.code)) if c != Outcome.FINE]
-        lines += [f"code {c}: {sentence_of(c)}" for c in codes]
+        lines += [f"code {c}: {meaning(c)}" for c in codes]
         return "\n".join(lines)
 
     def __repr__(self) -> str:

@@ -16,7 +16,7 @@ from .breakdown import SimulationError
 from .chunks import Measured, all_members
 from .dynamics import evaluate
 from .factors import at_once
-from .outcome import Outcome
+from .outcome import Outcome, meaning
 from .rollout import Solver, Tolerance, rollout
 from .scene import Scene, check
 from .simulate import simulate
@@ -269,9 +269,9 @@ def _failures(
     for row in np.flatnonzero(code != Outcome.FINE):
         who = ", ".join(f"{name} = {v[row]:g}" for name, v in points.items())
         if code[row] == Outcome.NOT_RUN:
-            why = "not run: interrupted"
+            why = meaning(code[row])
         elif code[row] == Outcome.NOT_MEASURED:
-            why = "what is measured is not finite (code 4)"
+            why = f"{meaning(code[row])} (code {code[row]})"
         else:
             why = f"broke down (code {code[row]})"
             if len(sentences) < _EXPLAINED:

@@ -31,6 +31,7 @@ from jaxbeads.constraint import Gears
 from jaxbeads.files import DamagedFile
 from jaxbeads.flow import OscillatingShear
 from jaxbeads.force import Bending, ForceField, Weight
+from jaxbeads.outcome import Outcome, meaning
 from jaxbeads.solution import Ending
 from jaxbeads.solver import Diffrax, Rosenbrock
 
@@ -121,6 +122,16 @@ def test_solvers_are_named(runs):
     for solver in (Diffrax(diffrax.Heun(), substeps=2), AB3(substeps=2)):
         pure = jax.jit(lambda s=solver: rollout(model(), START, TIMES, solver=s))()
         assert pure.solver == solver.name
+
+
+def test_each_outcome_is_a_sentence():
+    assert [int(o) for o in Outcome] == [-1, 0, 1, 2, 3, 4, 5]
+    for one in Outcome:
+        assert one.sentence[0].isupper() and one.sentence.endswith(".")
+        assert Outcome(int(one)) is one and pickle.loads(pickle.dumps(one)) is one
+        # Compiled programs take it as the number that it is.
+        assert int(jax.jit(lambda x, o=one: jnp.where(x, o, 7))(True)) == one
+    assert meaning(17) == "not one of a run"
 
 
 def test_a_solution_prints_itself(runs):

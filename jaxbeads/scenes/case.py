@@ -65,9 +65,9 @@ class Case(NamedTuple):
             return meant
         if meant.equal_steps:
             return dataclasses.replace(meant, substeps=self.substeps)
-        return (
-            dataclasses.replace(meant, tolerance=self.tolerance) if meant.estimates_error else meant
-        )
+        if meant.estimates_error:
+            return dataclasses.replace(meant, tolerance=self.tolerance)
+        return meant
 
 
 @dataclass(frozen=True)
