@@ -71,7 +71,7 @@ def varied(name: str, scene: jb.Scene, final: Callable[[jb.Scene], jax.Array], s
 
 
 def settling(
-    beads: int, dim: int, steps: int, solver: Any = None, duration: float | None = None
+    beads: int, dim: int, steps: int, kind: Any = jb.AB3, duration: float | None = None
 ) -> Case:
     """Equal steps: of AB3 near its limit, or of another solver in a time given in L/V_s."""
     scene, state, unit = fibre(beads, dim)
@@ -79,9 +79,9 @@ def settling(
     ts = np.array([0.0, 1.5 * limit * steps if duration is None else duration * unit])
 
     def final(scene: jb.Scene) -> jax.Array:
-        return jb.rollout(scene, state, ts, solver=solver, substeps=steps).final.position
+        return jb.rollout(scene, state, ts, solver=kind(substeps=steps)).final.position
 
-    name = f"{'AB3' if solver is None else type(solver).__name__}, {dim}-D, N = {beads}"
+    name = f"{kind.__name__}, {dim}-D, N = {beads}"
     return varied(f"{name}, {steps} steps", scene, final, steps)
 
 
@@ -179,8 +179,8 @@ def cases(quick: bool) -> list[Callable[[], Case]]:
         lambda: settling(20, 2, 100),
         lambda: settling(20, 3, 1_000),
         lambda: settling(50, 3, 1_000),
-        lambda: settling(20, 2, 100, jb.Rosenbrock(), 10.0),
-        lambda: settling(20, 2, 1_000, jb.Rosenbrock(), 10.0),
+        lambda: settling(20, 2, 100, jb.Rosenbrock, 10.0),
+        lambda: settling(20, 2, 1_000, jb.Rosenbrock, 10.0),
         lambda: adaptive(20, 1e-6),
         lambda: steady(20),
         lambda: periodic(12),

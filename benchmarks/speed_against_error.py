@@ -19,6 +19,7 @@ fibres through their first tumble.
 """
 
 import argparse
+import dataclasses
 import json
 import statistics
 import time
@@ -32,6 +33,7 @@ import numpy as np
 import jaxbeads as jb
 from jaxbeads import scenes
 from jaxbeads.rollout import diagnostics
+from jaxbeads.solver import AbstractSolver, Diffrax
 
 jax.config.update("jax_enable_x64", True)
 
@@ -131,22 +133,23 @@ def checked(path: Path, row: Row, run: jb.Solution, reference: jb.State) -> Row:
 
 
 def adaptive(
-    path: Path, solver: diffrax.AbstractAdaptiveSolver, tolerances: tuple[float, ...]
+    path: Path, solver: AbstractSolver, tolerances: tuple[float, ...]
 ) -> list[tuple[Row, jb.Solution | None]]:
     """Runs of a solver with several tolerances, one compiled program for all."""
     case = path.case
 
     def run(scene: jb.Scene, state: jb.State, ts: Any, tolerance: Any) -> jb.Solution:
-        return jb.rollout(scene, state, ts, solver=solver, tolerance=tolerance, max_steps=1000)
+        by = dataclasses.replace(solver, tolerance=tolerance, max_steps=1000)
+        return jb.rollout(scene, state, ts, solver=by)
 
     first = (case.scene, case.state, path.times)
     program, compiling = compiled(run, *first, tolerances[0])
-    per_step = {"Rosenbrock": 6, "Tsit5": 6}.get(type(solver).__name__)
+    per_step = {"Rosenbrock": 6, "Tsit5": 6}.get(solver.name)
     rows = []
     for tolerance in tolerances:
         wall, solution = timed(program, *first, tolerance, runs=5 if per_step == 6 else 3)
         steps = int(solution.steps)
-        name = f"{type(solver).__name__} {tolerance:.0e}"
+        name = f"{solver.name} {tolerance:.0e}"
         count = None if per_step is None else per_step * steps
         row = Row(name, steps, count, wall, compiling)
         if int(solution.code) == 0:
@@ -170,7 +173,7 @@ def ab3(path: Path, multiple: float, most: int) -> tuple[Row, jb.Solution | None
     count = substeps if whole else most // 2
 
     def run(scene: jb.Scene, state: jb.State, ts: Any) -> jb.Solution:
-        return jb.rollout(scene, state, ts, solver=jb.AB3(), substeps=count)
+        return jb.rollout(scene, state, ts, solver=jb.AB3(substeps=count))
 
     program, compiling = compiled(run, case.scene, case.state, ts)
     wall, solution = timed(program, case.scene, case.state, ts, runs=3)
@@ -207,8 +210,8 @@ def measure(path: Path, quick: bool) -> tuple[list[Row], dict[str, float]]:
     paper, limit = ab3(path, 1.0, most), ab3_at_its_limit(path, most)
     others = [paper, limit]
     if not quick:
-        others += adaptive(path, diffrax.Tsit5(), (1e-4, 1e-6))
-        others += adaptive(path, diffrax.Kvaerno5(), (1e-4, 1e-6))
+        others += adaptive(path, Diffrax(diffrax.Tsit5()), (1e-4, 1e-6))
+        others += adaptive(path, Diffrax(diffrax.Kvaerno5()), (1e-4, 1e-6))
     rows += [row if run is None else checked(path, row, run, reference) for row, run in others]
     figures = {
         "ratio": paper[0].wall_s / best.wall_s,

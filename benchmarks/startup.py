@@ -48,7 +48,7 @@ scene = jb.Scene(chain, 1.0, constraints=[Gears()], forces=forces)
 angle = 0.2 * np.sin(2 * np.pi * np.linspace(0, 1, 33))
 tangents = np.stack([np.cos(angle), np.sin(angle), 0.3 * angle], axis=1)[:, :dim]
 state = jb.State(jb.from_tangents(chain, tangents))
-options = {"AB3": {"substeps": 100}, "equal": {"solver": jb.Rosenbrock(), "substeps": 10}}
+options = {"AB3": {"substeps": 100}, "equal": {"solver": jb.Rosenbrock(substeps=10)}}
 def run(scene, state):
     chosen = options.get(which.split(".")[-1], {})
     return jb.rollout(scene, state, np.linspace(0, 100.0, 3), **chosen).final.position

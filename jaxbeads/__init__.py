@@ -32,6 +32,7 @@ from .domain import Unbounded as Unbounded
 from .files import load as load
 from .optimise import optimise as optimise
 from .optimum import Optimum as Optimum
+from .outcome import Outcome as Outcome
 from .periodic import PeriodicState as PeriodicState
 from .periodic import periodic_state as periodic_state
 from .rollout import rollout as rollout
@@ -42,6 +43,7 @@ from .simulate import resume as resume
 from .simulate import simulate as simulate
 from .solution import Solution as Solution
 from .solver import AB3 as AB3
+from .solver import Diffrax as Diffrax
 from .solver import Rosenbrock as Rosenbrock
 from .state import Load as Load
 from .state import Motion as Motion

@@ -19,7 +19,7 @@ from .cache import enable_cache
 from .observables import curvature
 from .scenes import MODELS, SCENES, AbstractModel, Case, ReadyMade, Value
 from .solution import Ending, Solution
-from .solver import AB3, Rosenbrock
+from .solver import AB3, AbstractSolver, Diffrax, Rosenbrock
 
 _INTERRUPTED, _NO_READER = 128 + 2, 128 + 13  # as a shell reports SIGINT and SIGPIPE
 
@@ -84,17 +84,17 @@ def _adaptive_solver(name: str) -> diffrax.AbstractSolver | None:
     return solver if solver.term_structure is diffrax.AbstractTerm else None
 
 
-def _solver(name: str | None) -> diffrax.AbstractSolver | None:
-    if name is None:
-        return None
-    own = {"ab3": AB3(), "rosenbrock": Rosenbrock()}
-    solver = own.get(name.lower()) or _adaptive_solver(name)
-    if solver is None:
+def _solver(name: str, tolerance: float | None) -> AbstractSolver:
+    own = {"ab3": AB3, "rosenbrock": Rosenbrock}
+    if name.lower() in own:
+        return own[name.lower()](tolerance=tolerance)
+    scheme = _adaptive_solver(name)
+    if scheme is None:
         raise ValueError(
             "Argument `--solver` must be Rosenbrock, AB3 or the name of an adaptive diffrax solver "
             f"(Tsit5, Dopri5, Kvaerno3, Kvaerno5, ...), but it is {name!r}."
         )
-    return solver
+    return Diffrax(scheme, tolerance=tolerance)
 
 
 def _write(ready: ReadyMade, case: Case, solution: Solution, folder: Path) -> list[Path]:
@@ -133,9 +133,9 @@ def _run(ready: ReadyMade, arguments: argparse.Namespace) -> int:
     if "model" in values:
         values["model"] = MODELS[values["model"]]
     case = ready.build(**values)
-    options: dict[str, Any] = {"solver": _solver(arguments.solver)}
-    if arguments.tolerance is not None:
-        options["tolerance"] = arguments.tolerance
+    options: dict[str, Any] = {"tolerance": arguments.tolerance}
+    if arguments.solver is not None:
+        options = {"solver": _solver(arguments.solver, arguments.tolerance)}
     folder: Path | None = arguments.out
     if folder is not None:
         try:

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from typing import Any
 
-import diffrax
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -13,10 +12,11 @@ from .dynamics import redundancy
 from .faults import REMEDY, Fault, not_finite, not_smooth
 from .force import Contact
 from .geometry import smallest_gap
+from .outcome import Outcome
 from .rollout import Stepper, default_solver
 from .scene import Scene, in_single
 from .solution import Solution
-from .solver import AdaptiveSteps, FixedSteps, Rosenbrock, explicit_step
+from .solver import AB3, AdaptiveSteps, FixedSteps, explicit_step
 from .solver.stepping import Carry
 from .state import Load, State
 
@@ -129,17 +129,13 @@ def explain(
 def step_advice(scene: Scene, step: float, stepper: FixedSteps) -> str:
     """What the time step has to do with it."""
     limit = float(explicit_step(scene))
-    if not np.isfinite(limit) or isinstance(stepper.solver, Rosenbrock):
+    if not np.isfinite(limit) or stepper.solver.needs_matrix:
         return f" The time step was {step:.3g}; try more `substeps`, or `tolerance` instead."
     return (
         f" The time step was {step:.3g}, {step / limit:.3g} times `solver.explicit_step`, eq. (39) for "
-        "bending (AB3 is stable to about 2.2 times); use more `substeps`, or `tolerance` instead."
+        f"bending (AB3 is stable to about {AB3.stable_to:g} times); use more `substeps`, or `tolerance` "
+        "instead."
     )
-
-
-def _implicit(stepper: Stepper) -> bool:
-    """Whether its steps need derivatives of the terms."""
-    return isinstance(stepper.solver, (Rosenbrock, diffrax.AbstractImplicitSolver))
 
 
 _step = eqx.filter_jit(lambda stepper, *args: stepper.step(*args))
@@ -148,14 +144,17 @@ _step = eqx.filter_jit(lambda stepper, *args: stepper.step(*args))
 def _given_up(stepper: AdaptiveSteps, scene: Scene, after: Carry, t0: float, t1: float) -> Cause:
     """Why adaptive steps did not reach the end of an interval."""
     last, step = after.memory, float(after.memory.next - after.memory.previous)
-    if int(after.code) == 1:
+    if int(after.code) == Outcome.TOO_MANY_STEPS:
         what = (
             f"{stepper.max_steps} steps from t = {t0:.6g} did not reach the next save time, {t1:.6g} "
             f"(the last was {step:.2g})"
         )
         advice = " Loosen `tolerance`, raise `max_steps` or save more often."
-        if isinstance(default_solver(scene), Rosenbrock) != isinstance(stepper.solver, Rosenbrock):
-            advice += " The scene is stiff: `Rosenbrock()`, its default solver, takes longer steps."
+        default = default_solver(scene)
+        if default.needs_matrix and not stepper.solver.needs_matrix:
+            advice += (
+                f" The scene is stiff: `{default.name}()`, its default solver, takes longer steps."
+            )
     else:
         what = f"no step, down to {step:.2g}, meets the tolerance with finite numbers"
         advice = " Loosen `tolerance`, or look at the term named here."
@@ -164,7 +163,7 @@ def _given_up(stepper: AdaptiveSteps, scene: Scene, after: Carry, t0: float, t1:
             advice += (
                 f" Times near t = {t0:g} are rounded to {rounding:.2g}: start nearer to t = 0."
             )
-    time, steps, implicit = float(last.previous), int(after.steps), _implicit(stepper)
+    time, steps, implicit = float(last.previous), int(after.steps), stepper.solver.needs_derivatives
     return explain(scene, last.state, time, steps, None, advice, what, implicit)
 
 
@@ -180,10 +179,10 @@ def locate(
     """Why the run broke down in the interval from t0 (`carry`) to t1 (`after`). Equal steps are taken
     again, one by one, to see where."""
     if not isinstance(stepper, FixedSteps):
-        if int(after.code) != 0:
+        if int(after.code) != Outcome.FINE:
             return _given_up(stepper, scene, after, t0, t1)
         return explain(scene, carry.state, t0, int(after.steps), after.state)
-    h, implicit = (t1 - t0) / stepper.substeps, _implicit(stepper)
+    h, implicit = (t1 - t0) / stepper.substeps, stepper.solver.needs_derivatives
     start, end = (jnp.asarray(t, carry.state.position.dtype) for t in (t0, t1))
     for index in range(stepper.substeps):
         new = _step(stepper, scene, carry, start, end, jnp.asarray(index))

@@ -21,9 +21,9 @@ from jaxtyping import Array
 from ._checks import fail
 from ._compat import meet, over_devices
 from .loops import equal_parts
+from .outcome import Outcome
 
 Points = dict[str, np.ndarray]
-NOT_RUN = -1
 _RECORD = "sweep.json"
 
 
@@ -50,7 +50,7 @@ def all_members(
     progress: bool,
     together: int,
 ) -> Measured:
-    """All members' results; `NOT_RUN` where Ctrl-C came before.
+    """All members' results; `Outcome.NOT_RUN` where Ctrl-C came before.
 
     **Arguments**: see `sweep`; how many members a CPU follows side by side, at most. **Raises**
     `ValueError` if the folder holds another sweep.
@@ -139,7 +139,7 @@ def _joined(parts: Mapping[int, Measured], count: int, chunk: int, total: int) -
 
     def blank(size: int) -> Measured:
         kept = {n: np.full((size, *x.shape[1:]), np.nan, x.dtype) for n, x in some.kept.items()}
-        code = np.full(size, NOT_RUN, some.code.dtype)
+        code = np.full(size, Outcome.NOT_RUN, some.code.dtype)
         return Measured(kept, code, np.zeros(size, some.steps.dtype))
 
     sizes = [min(chunk, total - i * chunk) for i in range(count)]

@@ -3,16 +3,15 @@
 Layout: `t` (times), `position` (times, beads, dim), `director`, `normal`, `own_0` ... where there are,
 `residual`, `bond_length_error`; `ts` (all planned times); group `scene` (every number of the model and
 solver); `model` (the structure that these numbers belong to, as JSON, see `contents`); groups
-`checkpoint/0` and `checkpoint/1` (all that the next step depends on, written in turns); `mark` (which of the two is whole,
-how many states belong to it, steps so far), written last in one piece: what lies beyond it is the rest
-of an interrupted write; `seconds` (in all, and of them for compiling; not a number unless the last run
-ended by itself). Attributes: `format`, `versions`, `solver`.
+`checkpoint/0` and `checkpoint/1` (all that the next step depends on, written in turns); `mark` (which
+of the two is whole, how many states belong to it, steps so far), written last in one piece: what lies
+beyond it is the rest of an interrupted write; `seconds` (in all, and of them for compiling; not a
+number unless the last run ended by itself). Attributes: `format`, `versions`, `solver`.
 
 A file appears under its name when its first state is written, in one piece, and not before: until then
 an older one of that name is as it was. While a run writes, HDF5 holds a lock; others are turned away.
 """
 
-import dataclasses
 import itertools
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -28,6 +27,7 @@ import numpy as np
 from ._checks import fail
 from .carried import PARTS, values, with_values
 from .contents import Contents
+from .outcome import Outcome
 from .places import (
     Place,
     in_use,
@@ -48,7 +48,7 @@ FORMAT = 1
 _COLUMNS = ("t", "position", "residual", "bond_length_error")
 _OWN = "own_"
 """Name of what a force owns, before the number of the force."""
-_LIMITS = ("max_steps",)
+_LIMITS = ("solver.max_steps",)
 """What decides on no number of a run that ends well, and may be another when it is resumed."""
 
 
@@ -57,8 +57,7 @@ def _leaves(tree: Any) -> list[np.ndarray]:
 
 
 def _contents(scene: Scene, stepper: Stepper) -> Contents:
-    options = {f.name: getattr(stepper, f.name) for f in dataclasses.fields(stepper)}
-    return Contents(_LIMITS, scene=scene, **options)
+    return Contents(_LIMITS, scene=scene, solver=stepper.solver)
 
 
 class DamagedFile(ValueError):
@@ -119,7 +118,7 @@ class TrajectoryFile:
         """Write what is known before the first state."""
         handle, contents = self.handle, _contents(scene, stepper)
         handle.attrs["format"] = FORMAT
-        handle.attrs["solver"] = type(stepper.solver).__name__
+        handle.attrs["solver"] = stepper.solver.name
         handle["model"] = contents.text()
         handle.attrs["versions"] = f"jax {jax.__version__}, h5py {h5py.__version__}"
         handle["ts"] = np.asarray(ts)
@@ -216,7 +215,7 @@ def load(path: str | Path) -> Solution:
             ts,
             _states(position, others),
             jnp.asarray(steps, int),  # with a type, or it would be a weak one
-            jnp.zeros((), int),
+            jnp.asarray(int(Outcome.FINE), int),
             residual,
             error,
             wall,

@@ -1,6 +1,7 @@
 """Periodic motions by root finding: the limit cycle of a swimmer or of a beating filament."""
 
-import diffrax
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,11 +12,13 @@ from jaxtyping import Array, Bool, Float
 from ._checks import fail, known, positive, whole
 from ._typing import with_all_digits
 from .instant import Time
-from .rollout import default_solver, rollout
+from .rollout import Solver, rollout, solver_for
 from .scene import Scene, check
-from .solver import Rosenbrock
+from .solver import AbstractSolver
 from .state import State
-from .steady import Outcome, Problem, Shape, generators, or_nothing, refuse, root
+from .steady import Pair, Problem, Shape, generators, or_nothing, refuse, root
+
+_STEPS = 200  # in a period, unless told otherwise
 
 
 class PeriodicState(eqx.Module):
@@ -61,8 +64,8 @@ def periodic_state(
     t: Time = 0.0,
     moving: bool = True,
     turning: bool = True,
-    solver: diffrax.AbstractSolver | None = None,
-    substeps: int = 200,
+    solver: Solver | None = None,
+    substeps: int | None = None,
     accuracy: float = 1e-8,
     max_steps: int = 20,
 ) -> PeriodicState:
@@ -81,8 +84,9 @@ def periodic_state(
     - `scene`, `state`: the model, and a guess; `period` of its drive [time]; `t`: when it starts.
     - `moving`: the shape may move as a whole, which makes no difference; false for a held filament.
     - `turning`: the same of turns; false where weight or a flow set a direction, or a bead is held.
-    - `solver`, and `substeps`: equal steps in the period; by default the scene's own solver. Take twice
-      as many to see the error.
+    - `solver`, with equal steps in the period, as `Rosenbrock(substeps=100)`; by default the scene's own
+      with 200. Take twice as many to see the error.
+    - `substeps`: short for those of the scene's own solver, or of a bare `diffrax` one.
     - `accuracy`: of the last correction, in radians and lengths of the fibre.
     - `max_steps` of Newton's method that are tried.
 
@@ -97,13 +101,12 @@ def periodic_state(
     if turning and not moving:
         fail("turning", "be False for a shape that does not move", "it is True")
     ts = jnp.stack([jnp.asarray(t, float), jnp.asarray(t, float) + period])
-    whole("substeps", substeps, 1)
-    solver = default_solver(scene) if solver is None else solver
+    equal = _equal_steps(scene, solver, substeps)
     problem = Problem(scene, ts, state)
     accurate = jnp.asarray(accuracy)
-    found, last = _solve(problem, moving, turning, solver, substeps, accurate, max_steps)
+    found, last = _solve(problem, moving, turning, equal, accurate, max_steps)
     if known((found, last, problem)) and not bool(found.converged):
-        _refuse(problem, last, solver, substeps)
+        _refuse(problem, last, equal)
         raise RuntimeError(
             f"No periodic state was found in {max_steps} steps from this start: give one that is "
             "nearer, as the end of a `rollout` over a few periods, or loosen `accuracy`."
@@ -111,17 +114,27 @@ def periodic_state(
     return found
 
 
-def _refuse(problem: Problem, last: State, solver: diffrax.AbstractSolver, substeps: int) -> None:
+def _equal_steps(scene: Scene, solver: Solver | None, substeps: int | None) -> AbstractSolver:
+    """The solver that the arguments mean, with equal steps."""
+    beside = substeps if isinstance(solver, AbstractSolver) else None  # which refuses them
+    meant = solver_for(scene, solver, None, beside)
+    if meant.tolerance is not None or meant.controller is not None:
+        must = f"take equal steps in a period, as `{type(meant).__name__}(..., substeps=100)`"
+        fail("solver", must, "its steps are chosen by their error")
+    number = meant.substeps if substeps is None else substeps
+    return dataclasses.replace(meant, substeps=_STEPS if number is None else number)
+
+
+def _refuse(problem: Problem, last: State, solver: AbstractSolver) -> None:
     """Name the term that breaks a period from the last shape that was tried, if there is one."""
-    ts = jnp.linspace(problem.ts[0], problem.ts[1], substeps + 1)
-    run = rollout(problem.scene, last, ts, solver=solver, substeps=1)
+    ts = jnp.linspace(problem.ts[0], problem.ts[1], (solver.substeps or 1) + 1)
+    run = rollout(problem.scene, last, ts, solver=dataclasses.replace(solver, substeps=1))
     fine = np.isfinite(np.asarray(run.states.position)).all(axis=(1, 2))
     if not fine.all():
         at = max(int(np.argmin(fine)) - 1, 0)
         state = jax.tree.map(lambda x: x[at], run.states)
-        implicit = isinstance(solver, (Rosenbrock, diffrax.AbstractImplicitSolver))
         for t in ts[at : at + 2]:  # what fails may do so at the end of the step only
-            refuse(float(t), state, problem.scene, "periodic", implicit)
+            refuse(float(t), state, problem.scene, "periodic", solver.needs_derivatives)
 
 
 class _Figure(eqx.Module):
@@ -190,18 +203,17 @@ def _solve(
     problem: Problem,
     moving: bool,
     turning: bool,
-    solver: diffrax.AbstractSolver,
-    substeps: int,
+    solver: AbstractSolver,
     accuracy: Array,
     max_steps: int,
 ) -> tuple[PeriodicState, State]:
     dim = problem.start.position.shape[1]
 
-    def system(shape: Shape, y: Array, problem: Problem) -> Outcome:
+    def system(shape: Shape, y: Array, problem: Problem) -> Pair:
         """The change of the shape in a period; displacement and rotation of the whole, and what is no
         part of the change of the shape."""
         state = shape.state(y)
-        run = rollout(problem.scene, state, problem.ts, solver=solver, substeps=substeps)
+        run = rollout(problem.scene, state, problem.ts, solver=solver)
         after = run.final
         displacement = jnp.mean(after.position - state.position, axis=0)
         first, last = _figure(shape, state), _figure(shape, after)
@@ -225,7 +237,7 @@ def _solve(
         sought = jnp.concatenate([displacement, rotation.ravel(), turn])
         return apart - basis @ left + turn, sought
 
-    def linear(shape: Shape, problem: Problem) -> tuple[Outcome, Outcome]:
+    def linear(shape: Shape, problem: Problem) -> tuple[Pair, Pair]:
         # Central differences of equal steps, which are smooth: a program of tangents takes more than
         # twice as long to compile.
         count, dtype = len(shape.origin), shape.origin.dtype

@@ -11,86 +11,98 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from ._checks import fail, increasing, kind, known, positive, whole
+from ._checks import described, fail, increasing, known
 from ._typing import float_array, with_all_digits
 from .constraint import AbstractChainConstraint
 from .dynamics import constraint_residual
-from .force import AbstractForce
 from .loops import linked
+from .outcome import Outcome
 from .scene import Scene, check
-from .solution import Solution, solver_number
-from .solver import AB3, AdaptiveSteps, FixedSteps, Rosenbrock
+from .solution import Solution, name_number
+from .solver import AB3, AbstractSolver, AdaptiveSteps, Diffrax, FixedSteps, Rosenbrock
+from .solver.base import plain
 from .solver.stepping import Carry, substeps_for
 from .solver.tolerance import controller_for, default_tolerance
 from .state import State
 
 Stepper = FixedSteps | AdaptiveSteps
+Solver = AbstractSolver | diffrax.AbstractSolver
 Tolerance = Float[Array, ""] | float
 _BOND_TOLERANCE = 0.01
 _LAW_TOLERANCE = 0.01
 _LEAST_STEP = 100
 
 
-def default_solver(scene: Scene) -> diffrax.AbstractSolver:
-    """`Rosenbrock` if a force of the scene is stiff (bounds explicit steps) and its mobility is dense,
-    otherwise `Tsit5`."""
-    if not scene.mobility.is_dense(scene.chain.beads):
-        return diffrax.Tsit5()
-    stiff = any(type(f).explicit_step is not AbstractForce.explicit_step for f in scene.forces)
-    return Rosenbrock() if stiff else diffrax.Tsit5()
+def default_solver(scene: Scene) -> AbstractSolver:
+    """`Rosenbrock` if a force of the scene is stiff and its mobility is dense, otherwise `Tsit5`."""
+    dense = scene.dense
+    if dense and any(force.stiff for force in scene.forces):
+        return Rosenbrock()
+    return Diffrax(diffrax.Tsit5())
 
 
-def stepper_for(
-    scene: Scene,
-    ts: Float[Array, " times"],
-    solver: diffrax.AbstractSolver | None,
-    substeps: int | None,
-    controller: diffrax.AbstractStepSizeController | None,
-    tolerance: Tolerance | None,
-    projected: bool | None,
-    max_steps: int,
-) -> Stepper:
-    """The stepper that the arguments of `rollout` and `simulate` mean."""
-    if solver is None:
-        solver = default_solver(scene) if substeps is None else AB3()
-    if not isinstance(solver, diffrax.AbstractSolver):
-        fail("solver", "be a diffrax solver object, as AB3()", f"it is {solver!r}")
-    if isinstance(solver, Rosenbrock) and not scene.mobility.is_dense(scene.chain.beads):
-        must = "be explicit (`AB3()`, `Tsit5()`) where the mobility is not dense"
-        fail("solver", must, "it is Rosenbrock (`RPY(dense=True)` makes it dense at any size)")
-    solver = _both_modes(solver)
-    whole("max_steps", max_steps, 1)
-    _check_distinct(ts)
+def solver_for(
+    scene: Scene, solver: Solver | None, tolerance: Tolerance | None, substeps: int | None
+) -> AbstractSolver:
+    """The solver that the arguments of `rollout` and `simulate` mean: `tolerance` and `substeps` are
+    shorthands for the options of a solver that has none yet."""
+    if isinstance(solver, AbstractSolver):
+        for name, value in {"tolerance": tolerance, "substeps": substeps}.items():
+            if value is not None:
+                must = f"be None beside a solver, whose own option it is (`{type(solver).__name__}"
+                fail(name, f"{must}(..., {name}=...)`)", f"it is {plain(value)}")
+        return solver
+    if isinstance(solver, diffrax.AbstractSolver):
+        return Diffrax(solver, tolerance=tolerance, substeps=substeps)
+    if solver is not None:
+        must = "be a solver object, as AB3() or diffrax.Tsit5()"
+        fail("solver", must, f"it is {described(solver)}")
+    if substeps is None:
+        return dataclasses.replace(default_solver(scene), tolerance=tolerance)
     if tolerance is not None:
-        controller = _controller(scene, ts, solver, substeps, controller, tolerance)
-    elif substeps is None and controller is None and _adaptive(solver):
-        controller = controller_for(default_tolerance(ts.dtype), scene.chain)
-    if controller is not None:
-        if substeps is not None:
-            fail("substeps", "be None when a controller chooses the steps", f"it is {substeps}")
-        kind("controller", controller, diffrax.AbstractStepSizeController)
-        if isinstance(solver, AB3):
-            fail("controller", "be None for AB3, whose steps are equal", "one is given")
-        if not _adaptive(solver):
-            fail(
-                "solver", "estimate its error for a controller", f"{type(solver).__name__} does not"
-            )
-        project = not isinstance(solver, Rosenbrock) if projected is None else projected
-        return AdaptiveSteps(_with_tolerances(solver, controller), controller, max_steps, project)
-    if isinstance(solver, diffrax.AbstractImplicitSolver) and _missing(solver):
-        must = "be given with an implicit solver, whose root finder takes its tolerances from it"
-        fail("controller", must, "it is None")
-    if isinstance(solver, AB3):
-        _check_even(ts)
+        fail("tolerance", "be None when substeps is given", f"it is {plain(tolerance)}")
+    return AB3(substeps=substeps)
+
+
+def stepper_for(scene: Scene, ts: Float[Array, " times"], solver: AbstractSolver) -> Stepper:
+    """The stepper of a solver in a scene: all its options have values there."""
+    if solver.needs_matrix and not scene.dense:
+        must = "be explicit (`AB3()`, `Tsit5()`) where the mobility is not dense"
+        fail("solver", must, f"it is {solver.name} (`RPY(dense=True)` makes it dense at any size)")
+    _check_distinct(ts)
+    if solver.substeps is None and solver.estimates_error:
+        return _adaptive(scene, ts, solver)
+    if solver.equal_steps:
+        _check_even(ts, solver.name)
+    substeps = solver.substeps
     if substeps is None:
         if not known((ts, scene)):
             must = "be given when the scene or the times are traced"
             how = "it is None: jaxbeads.solver.substeps_for(scene, ts) finds it beforehand"
             fail("substeps", must, how)
         substeps = substeps_for(scene, ts, None)
-    whole("substeps", substeps, 1)
     _check_resolved(ts, substeps)
-    return FixedSteps(solver, substeps, bool(projected))
+    return FixedSteps(
+        dataclasses.replace(solver, substeps=substeps, projected=bool(solver.projected))
+    )
+
+
+def _adaptive(scene: Scene, ts: Float[Array, " times"], solver: AbstractSolver) -> AdaptiveSteps:
+    """Steps chosen by a controller, or by the tolerance that stands for one."""
+    tolerance, controller, projected = solver.tolerance, solver.controller, solver.projected
+    if controller is None:
+        tolerance = default_tolerance(ts.dtype) if tolerance is None else tolerance
+        least = 100 * float(jnp.finfo(ts.dtype).eps)
+        if known(tolerance) and not least <= tolerance <= 0.1:
+            must = (
+                f"lie between {least:.1g} (rounding) and 0.1, as a fraction of the fibre's length"
+            )
+            fail("tolerance", must, f"it is {tolerance:g}")
+        tolerance = jnp.asarray(tolerance, ts.dtype)
+        controller = controller_for(tolerance, scene.chain)
+    projected = not solver.keeps_bonds if projected is None else projected
+    solver = dataclasses.replace(solver, tolerance=tolerance, projected=bool(projected))
+    return AdaptiveSteps(solver.tuned(controller), controller)
 
 
 def _check_distinct(ts: Array) -> None:
@@ -101,7 +113,7 @@ def _check_distinct(ts: Array) -> None:
         fail("ts", must, f"there entries {k} and {k + 1} are both {float(ts[k]):.9g}")
 
 
-def _check_even(ts: Array) -> None:
+def _check_even(ts: Array, name: str) -> None:
     """Equal intervals, up to the rounding of the times."""
     if not known(ts):
         return
@@ -111,7 +123,7 @@ def _check_even(ts: Array) -> None:
     rounding = _spacing(single if np.all(single == times) else times)
     gaps = np.diff(times)
     if np.ptp(gaps) > 1e-6 * np.max(gaps) + 4 * rounding:
-        must = "be evenly spaced for AB3, whose steps are equal"
+        must = f"be evenly spaced for {name}, whose steps are equal"
         fail("ts", must, f"its intervals range from {gaps.min():g} to {gaps.max():g}")
 
 
@@ -133,63 +145,6 @@ def _spacing(times: np.ndarray) -> float:
     return float(np.spacing(np.max(np.abs(times))))
 
 
-def _both_modes(solver: diffrax.AbstractSolver) -> diffrax.AbstractSolver:
-    """Runge-Kutta stages in a loop that has derivatives in forward mode too, unless it is chosen."""
-    if getattr(solver, "scan_kind", "none") is None:
-        return dataclasses.replace(solver, scan_kind="bounded")
-    return solver
-
-
-def _adaptive(solver: diffrax.AbstractSolver) -> bool:
-    """Whether it estimates its error."""
-    return isinstance(solver, diffrax.AbstractAdaptiveSolver)
-
-
-def _controller(
-    scene: Scene,
-    ts: Float[Array, " times"],
-    solver: diffrax.AbstractSolver,
-    substeps: int | None,
-    controller: diffrax.AbstractStepSizeController | None,
-    tolerance: Tolerance,
-) -> diffrax.AbstractStepSizeController:
-    """The controller that a tolerance means; refuses what does not go with it."""
-    if substeps is not None or controller is not None:
-        other = "substeps" if controller is None else "a controller"
-        fail("tolerance", f"be None when {other} is given", f"it is {tolerance!r}")
-    if not _adaptive(solver):
-        must = "be None for a solver that does not estimate its error"
-        fail("tolerance", must, f"{type(solver).__name__} does not")
-    positive("tolerance", tolerance)
-    least = 100 * float(jnp.finfo(ts.dtype).eps)
-    if known(tolerance) and not least <= tolerance <= 0.1:
-        must = f"lie between {least:.1g} (rounding) and 0.1, as a fraction of the fibre's length"
-        fail("tolerance", must, f"it is {tolerance:g}")
-    return controller_for(tolerance, scene.chain)
-
-
-def _missing(solver: diffrax.AbstractImplicitSolver) -> list[str]:
-    """Settings of the root finder that `diffrax` leaves to the controller."""
-    finder = solver.root_finder
-    numbers = [
-        n for n in ("rtol", "atol") if not isinstance(getattr(finder, n), (float, jax.Array))
-    ]
-    return numbers + ([] if callable(getattr(finder, "norm", None)) else ["norm"])
-
-
-def _with_tolerances(
-    solver: diffrax.AbstractSolver, controller: diffrax.AbstractStepSizeController
-) -> diffrax.AbstractSolver:
-    if not isinstance(solver, diffrax.AbstractImplicitSolver):
-        return solver
-    names = _missing(solver)
-    return eqx.tree_at(
-        lambda s: [getattr(s.root_finder, name) for name in names],
-        solver,
-        [getattr(controller, name) for name in names],
-    )
-
-
 @with_all_digits
 def advance(
     stepper: Stepper, scene: Scene, carry: Carry, ts: Float[Array | np.ndarray, " times"]
@@ -209,12 +164,9 @@ def rollout(
     state: State,
     ts: Any,
     *,
-    solver: diffrax.AbstractSolver | None = None,
+    solver: Solver | None = None,
     tolerance: Tolerance | None = None,
     substeps: int | None = None,
-    controller: diffrax.AbstractStepSizeController | None = None,
-    projected: bool | None = None,
-    max_steps: int = 100_000,
     single_precision: bool = False,
 ) -> Solution:
     """Trajectory from `state` at `ts[0]`, saved at the times `ts`.
@@ -229,16 +181,15 @@ def rollout(
 
     - `scene`, `state`: the model and where it starts.
     - `ts`: increasing times [time], `(times,)`; for `AB3` evenly spaced.
-    - `solver`: `Rosenbrock()`, `AB3()` or any `diffrax` solver. By default what the scene needs:
-      `Rosenbrock` if a force is stiff and the mobility dense, otherwise `diffrax.Tsit5`; `AB3` if
-      `substeps` is given.
-    - `tolerance`: largest error of a step, as a fraction of the longest fibre's length; by default 1e-6
-      (float32: 1e-4). The error over a path is of the same size where neighbouring paths converge.
-    - `substeps`: equal steps between two times instead. `AB3` without it takes the paper's step (39).
-    - `controller`: a `diffrax` step-size controller instead.
-    - `projected`: restore bond lengths after every step; by default with adaptive steps (`Rosenbrock`
-      keeps them by itself).
-    - `max_steps`: bound on steps between two times (with a controller).
+    - `solver`: with its own options, as `Rosenbrock(tolerance=1e-8)`, `AB3(substeps=50)` or
+      `Diffrax(diffrax.Tsit5(), projected=False)`; see `solver.AbstractSolver`. A bare `diffrax` solver
+      has the usual ones. By default what the scene needs: `Rosenbrock` if a force is stiff and the
+      mobility dense, otherwise `diffrax.Tsit5`.
+    - `tolerance`: short for that solver's: largest error of a step, as a fraction of the longest fibre's
+      length; by default 1e-6 (float32: 1e-4). The error over a path is of the same size where
+      neighbouring paths converge.
+    - `substeps`: short for `AB3(substeps=...)`, or for that of a bare `diffrax` solver: equal steps
+      between two times instead. `AB3` without it takes the paper's step (39).
     - `single_precision`: confirms that float32 is meant.
 
     **Returns** a `Solution`. **Raises** `ValueError` for input that does not fit.
@@ -247,7 +198,7 @@ def rollout(
     increasing("ts", ts)
     state = scene.begin(state)
     ts = float_array(ts).astype(state.position.dtype)
-    stepper = stepper_for(scene, ts, solver, substeps, controller, tolerance, projected, max_steps)
+    stepper = stepper_for(scene, ts, solver_for(scene, solver, tolerance, substeps))
     return _trajectory(stepper, scene, state, ts)
 
 
@@ -261,10 +212,10 @@ def _trajectory(
     states = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), state, states)
     errors = bond_errors(scene, lax.stop_gradient(states))
     good = jnp.all(jnp.isfinite(states.position)) & (jnp.max(errors) <= _BOND_TOLERANCE)
-    code = jnp.where((carry.code == 0) & ~good, 3, carry.code)
+    code = jnp.where((carry.code == Outcome.FINE) & ~good, Outcome.BROKEN, carry.code)
     lost = jnp.max(law_errors(scene, stepper, *lax.stop_gradient((ts, states))), initial=0.0)
-    code = jnp.where((code == 0) & (lost > _LAW_TOLERANCE), 5, code)
-    method = solver_number(stepper.solver)
+    code = jnp.where((code == Outcome.FINE) & (lost > _LAW_TOLERANCE), Outcome.OFF_ITS_LAW, code)
+    method = name_number(stepper.solver.name)
     return Solution(ts, states, carry.steps, code, bond_length_error=errors, method=method)
 
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
-import diffrax
 import equinox as eqx
 import jax
 import numpy as np
@@ -21,10 +20,20 @@ from .breakdown import SimulationError, bond_error, explain, locate
 from .contents import Contents
 from .dynamics import named, redundancy
 from .files import TrajectoryFile, compare, load, planned_times, reopen
-from .rollout import Stepper, Tolerance, advance, diagnostics, law_errors, stepper_for
+from .outcome import Outcome
+from .rollout import (
+    Solver,
+    Stepper,
+    Tolerance,
+    advance,
+    diagnostics,
+    law_errors,
+    solver_for,
+    stepper_for,
+)
 from .scene import Scene, check
-from .solution import Ending, Solution, solver_number
-from .solver import AB3, FixedSteps, explicit_step
+from .solution import Ending, Solution, name_number
+from .solver import FixedSteps, explicit_step
 from .solver.stepping import Carry
 from .state import State
 
@@ -62,12 +71,9 @@ def simulate(
     state: State,
     ts: Any,
     *,
-    solver: diffrax.AbstractSolver | None = None,
+    solver: Solver | None = None,
     tolerance: Tolerance | None = None,
     substeps: int | None = None,
-    controller: diffrax.AbstractStepSizeController | None = None,
-    projected: bool | None = None,
-    max_steps: int = 100_000,
     bond_tolerance: float = 0.01,
     overlap: bool = True,
     single_precision: bool = False,
@@ -97,17 +103,14 @@ def simulate(
     with the solution up to the last good state in its field `solution`.
     """
     clock = _Clock()
-    limits = {"bond_tolerance": bond_tolerance, "max_steps": max_steps}
-    steps = {"solver": solver, "tolerance": tolerance, "controller": controller}
-    _refuse_traced("simulate", scene=scene, state=state, ts=ts, **steps, **limits)
+    steps = {"solver": solver, "tolerance": tolerance, "bond_tolerance": bond_tolerance}
+    _refuse_traced("simulate", scene=scene, state=state, ts=ts, **steps)
     check(scene, state, overlap=overlap, single_precision=single_precision)
     state = scene.begin(state)
     increasing("ts", ts)
     times = float_array(ts).astype(state.position.dtype)
     _refuse_traced("simulate", ts=times)
-    stepper = stepper_for(
-        scene, times, solver, substeps, controller, tolerance, projected, max_steps
-    )
+    stepper = stepper_for(scene, times, solver_for(scene, solver, tolerance, substeps))
     run = _Run(scene, stepper, times, bond_tolerance, until, chunk, progress)
     error, bond = bond_error(scene, state)
     if error > bond_tolerance:
@@ -135,12 +138,9 @@ def resume(
     file: str | Path,
     scene: Scene,
     *,
-    solver: diffrax.AbstractSolver | None = None,
+    solver: Solver | None = None,
     tolerance: Tolerance | None = None,
     substeps: int | None = None,
-    controller: diffrax.AbstractStepSizeController | None = None,
-    projected: bool | None = None,
-    max_steps: int = 100_000,
     bond_tolerance: float = 0.01,
     until: Callable[[Solution], bool] | None = None,
     chunk: int | None = None,
@@ -148,28 +148,25 @@ def resume(
 ) -> Solution:
     """Continue the run of a file, bit for bit as if it had not been interrupted.
 
-    Limits may be others than before: `max_steps` (a run that stopped at it goes on with a larger one),
-    `bond_tolerance`, `until`, `chunk`, `progress`. Everything that decides on the numbers must be as it
-    was and is compared with the file, entry by entry: terms and their classes, each number of the scene,
-    solver, `tolerance`, `substeps`, `controller`, `projected`. A law, or any other plain function, is
-    the same if its code is, with the numbers in its defaults, in its closure and in the globals that it
-    reads: the same `lambda` in a new process will do. Methods of a term's class are not looked into.
+    Limits may be others than before: the solver's `max_steps` (a run that stopped at it goes on with a
+    larger one), `bond_tolerance`, `until`, `chunk`, `progress`. Everything that decides on the numbers
+    must be as it was and is compared with the file, entry by entry: terms and their classes, each number
+    of the scene, the solver and its other options. A law, or any other plain function, is the same if
+    its code is, with the numbers in its defaults, in its closure and in the globals that it reads: the
+    same `lambda` in a new process will do. Methods of a term's class are not looked into.
 
-    **Arguments**: the file; scene, solver and step options with which it was written; the others as for
-    `simulate`. **Returns** the solution from where the file left off (`files.load` reads the whole).
+    **Arguments**: the file; scene and solver with which it was written; the others as for `simulate`.
+    **Returns** the solution from where the file left off (`files.load` reads the whole).
     **Raises** `ValueError` if file and arguments do not fit, naming what differs, and if another run
     writes to the file; and as `simulate`.
     """
     clock = _Clock()
-    limits = {"bond_tolerance": bond_tolerance, "max_steps": max_steps}
-    steps = {"solver": solver, "tolerance": tolerance, "controller": controller}
-    _refuse_traced("resume", scene=scene, **steps, **limits)
+    steps = {"solver": solver, "tolerance": tolerance, "bond_tolerance": bond_tolerance}
+    _refuse_traced("resume", scene=scene, **steps)
     last = load(file)
     times = planned_times(file)
     _refuse_traced("resume", file=(last, times))  # under `jit` nothing is known
-    stepper = stepper_for(
-        scene, times, solver, substeps, controller, tolerance, projected, max_steps
-    )
+    stepper = stepper_for(scene, times, solver_for(scene, solver, tolerance, substeps))
     run = _Run(scene, stepper, times, bond_tolerance, until, chunk, progress)
     compare(file, scene, stepper)
     like = _init(stepper, scene, last.final, times[0], times[1])
@@ -195,12 +192,13 @@ def _part(scene: Scene, ts: Array, each: list[State], carry: Carry) -> Solution:
 
 
 def _warn_of_large_step(scene: Scene, stepper: Stepper, ts: Array) -> None:
-    if isinstance(stepper, FixedSteps) and isinstance(stepper.solver, AB3):
+    stable_to = stepper.solver.stable_to
+    if isinstance(stepper, FixedSteps) and stable_to is not None:
         step, limit = float(np.max(np.diff(ts))) / stepper.substeps, float(explicit_step(scene))
-        if step > 2.2 * limit:
+        if step > stable_to * limit:
             warnings.warn(
                 f"The time step {step:.3g} is {step / limit:.3g} times `solver.explicit_step` (eq. (39) "
-                "for bending); AB3 is stable to about 2.2 times.",
+                f"for bending); {stepper.solver.name} is stable to about {stable_to:g} times.",
                 stacklevel=3,
             )
 
@@ -285,7 +283,7 @@ class _Run:
         fine = np.isfinite(np.asarray(part.states.position)).all(axis=(1, 2))
         fine &= np.asarray(part.bond_length_error) <= self.bond_tolerance
         fine &= np.asarray(part.residual) <= RESIDUAL_TOLERANCE
-        if not fine.all() or int(after.code) != 0:
+        if not fine.all() or int(after.code) != Outcome.FINE:
             self.stop(carry, done, int(np.argmin(fine)), parts, clock)
         if self.target is not None:
             self.target.append(part, after)
@@ -324,7 +322,7 @@ class _Run:
             wall,
             compiling,
             ending,
-            solver_number(self.stepper.solver),
+            name_number(self.stepper.solver.name),
         )
 
     def ended(self, parts: list[Solution], ending: Ending, clock: _Clock) -> Solution:

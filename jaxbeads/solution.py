@@ -15,14 +15,9 @@ from jaxtyping import Array, Float, Int
 
 from ._checks import known
 from ._typing import optional_float_array
+from .outcome import Outcome, meaning
+from .solver import AbstractSolver
 from .state import State
-
-CODES = {
-    1: "more than `max_steps` steps between two times",
-    2: "the solver gave up",
-    3: "positions are not finite, or bonds are off their lengths by more than 1 %",
-}
-"""What a `code` other than 0 means."""
 
 
 class Ending(IntEnum):
@@ -46,6 +41,7 @@ class Ending(IntEnum):
     BROKEN_DOWN = 105, "broken down", "It ends with its last good state, or its `code` says why."
 
 
+_SOLVERS = diffrax.AbstractSolver, AbstractSolver
 _WORDS = {int(ending): ending.word for ending in Ending}
 
 
@@ -53,34 +49,29 @@ def _small_number(value: Any) -> Array | None:
     return None if value is None else jnp.asarray(value, jnp.int32)
 
 
-def solver_number(solver: diffrax.AbstractSolver) -> int:
-    """The number that stands for a solver's name in a `Solution`."""
-    return name_number(type(solver).__name__)
-
-
 def name_number(name: str) -> int:
-    """A number for a name, the same in every process."""
+    """The number that stands for a solver's name in a `Solution`, the same in every process."""
     return zlib.crc32(name.encode()) & 0x7FFFFFFF
 
 
-def _solver_names(kind: type = diffrax.AbstractSolver) -> Iterator[str]:
-    for other in kind.__subclasses__():
-        yield other.__name__
-        yield from _solver_names(other)
+def _solver_names(*kinds: type) -> Iterator[str]:
+    for kind in kinds:
+        yield kind.__name__
+        yield from _solver_names(*kind.__subclasses__())
 
 
 class Solution(eqx.Module):
     """A trajectory.
 
     - `ts`: times, `(times,)`; `states`: `State` with a leading axis of times.
-    - `steps`: attempted steps; `code`: 0 when all went well (see `solver.stepping.Carry`).
+    - `steps`: attempted steps; `code`: 0 when all went well (see `Outcome`).
     - `residual`: constraint residual at each time, see `dynamics.constraint_residual`;
       `bond_length_error`: largest relative error of a bond at each time. The first is `None` from
       `rollout`.
     - `wall_s`, `compile_s`: seconds in all, and of them for compiling (`simulate` only; from a file that
       was not closed, not a number).
     - `status`: "finished", "stopped by `until`", "interrupted", "unfinished" or "broken down", see
-      `Ending`; `solver`: the name of the solver's class.
+      `Ending`; `solver`: the name of the solver.
 
     All of it is in leaves, also how a run ended (`ending`) and by which solver (`method`), as numbers:
     solutions of one shape have one structure, however long they took and whatever became of them. Their
@@ -112,7 +103,7 @@ class Solution(eqx.Module):
         ending = Ending.FINISHED if self.ending is None else self.ending
         pairs = np.broadcast_arrays(np.asarray(self.code), np.asarray(ending))
         words = [
-            Ending.BROKEN_DOWN.word if code != 0 else _WORDS.get(int(end), "unknown")
+            Ending.BROKEN_DOWN.word if code != Outcome.FINE else _WORDS.get(int(end), "unknown")
             for code, end in zip(*map(np.ravel, pairs), strict=True)
         ]
         if len(set(words)) == 1:
@@ -121,11 +112,11 @@ class Solution(eqx.Module):
 
     @property
     def solver(self) -> str | None:
-        """Name of the solver's class; `None` where it is not known, as while it is traced. A host
+        """Name of the solver; `None` where it is not known, as while it is traced. A host
         function."""
         if self.method is None or not known(self.method):
             return None
-        names = {name_number(name): name for name in _solver_names()}
+        names = {name_number(name): name for name in _solver_names(*_SOLVERS)}
         found = [names.get(int(number)) for number in np.unique(np.asarray(self.method))]
         return ", ".join(name or "?" for name in found) if any(found) else None
 
@@ -152,8 +143,8 @@ class Solution(eqx.Module):
         given = [f"{n} {_text(x, '.1e', np.max)}" for n, x in errors.items() if x is not None]
         if given:
             lines.append(", ".join(given))
-        codes = [int(c) for c in np.unique(np.asarray(self.code)) if c != 0]
-        lines += [f"code {c}: {CODES.get(c, 'not one of a run')}" for c in codes]
+        codes = [int(c) for c in np.unique(np.asarray(self.code)) if c != Outcome.FINE]
+        lines += [f"code {c}: {meaning(c)}" for c in codes]
         return "\n".join(lines)
 
     def __repr__(self) -> str:

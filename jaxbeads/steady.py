@@ -111,11 +111,11 @@ class Problem(eqx.Module):
     start: State
 
 
-Outcome = tuple[Array, Array]
+Pair = tuple[Array, Array]
 """What is to be zero, and what else is sought, two vectors."""
-System = Callable[[Shape, Array, Problem], Outcome]
+System = Callable[[Shape, Array, Problem], Pair]
 """Both as functions of the shape's coordinates."""
-Linear = Callable[[Shape, Problem], tuple[Outcome, Outcome]]
+Linear = Callable[[Shape, Problem], tuple[Pair, Pair]]
 """Both at y = 0, and their Jacobians."""
 
 
@@ -130,7 +130,7 @@ class _Turn(eqx.Module):
     state: State
     y: Array
     sought: Array
-    jacobians: Outcome
+    jacobians: Pair
 
 
 class Root(eqx.Module):
@@ -140,7 +140,7 @@ class Root(eqx.Module):
     state: State
     sought: Array
     found: Array
-    jacobians: Outcome
+    jacobians: Pair
     last: State
 
 
@@ -309,11 +309,11 @@ def _solve(
 ) -> tuple[SteadyState, State]:
     dim = problem.start.position.shape[1]
 
-    def system(shape: Shape, y: Array, problem: Problem) -> Outcome:
+    def system(shape: Shape, y: Array, problem: Problem) -> Pair:
         rate = coordinate_rate(problem.ts, shape.lift(y), shape.chart, problem.scene)
         return shape.drop(rate), rate[:dim]
 
-    def linear(shape: Shape, problem: Problem) -> tuple[Outcome, Outcome]:
+    def linear(shape: Shape, problem: Problem) -> tuple[Pair, Pair]:
         about = linearise(problem.ts, shape.chart, problem.scene)
         columns = (about.jacobian * shape.scale[None, :])[:, shape.fixed :]
         dropped = jax.vmap(shape.drop, 1, 1)(columns)

@@ -6,7 +6,6 @@ import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,13 +13,15 @@ from jaxtyping import Array
 
 from ._checks import described, fail, finite, increasing, whole
 from .breakdown import SimulationError
-from .chunks import NOT_RUN, Measured, all_members
+from .chunks import Measured, all_members
 from .dynamics import evaluate
 from .factors import at_once
-from .rollout import Tolerance, rollout
+from .outcome import Outcome, meaning
+from .rollout import Solver, Tolerance, rollout
 from .scene import Scene, check
 from .simulate import simulate
 from .solution import Solution
+from .solver import AbstractSolver
 from .state import State
 
 if TYPE_CHECKING:
@@ -58,11 +59,9 @@ def sweep(
     measure: Measure,
     *,
     paired: bool = False,
-    solver: diffrax.AbstractSolver | None = None,
+    solver: Solver | None = None,
     tolerance: Tolerance | None = None,
     substeps: int | None = None,
-    projected: bool | None = None,
-    max_steps: int = 100_000,
     chunk: int | None = None,
     folder: str | os.PathLike[str] | None = None,
     devices: Sequence[Any] | None = None,
@@ -96,7 +95,7 @@ def sweep(
     - `ts`: times to save at, the same for all [time].
     - `measure`: real numbers or arrays by name, from a `Solution` and the scene.
     - `paired`: the axes' values belong together, one member for each, instead of all combinations.
-    - `solver`, `tolerance`, `substeps`, `projected`, `max_steps`: as for `rollout`.
+    - `solver`, `tolerance`, `substeps`: as for `rollout`.
     - `chunk`: members at a time on each device; memory grows with it. By default what the folder has, or
       64, or less where that leaves a device without work.
     - `folder`: where chunks are kept, made if it is not there.
@@ -104,11 +103,11 @@ def sweep(
     - `progress`: show a progress bar.
 
     **Returns** an `xarray.Dataset`: one dimension for each axis (or `member`), what was measured (NaN
-    where it failed), `steps`, and `code`: 0 where all went well, otherwise as in a `Solution`, 4 where
-    only what is measured is not finite, -1 where Ctrl-C came before. `attrs["failures"]` is a text with
-    a line for each member that failed: which it is, and for the first three why; alone they are run
-    again by `simulate`, which names step, bead and term. `to_netcdf` writes all of it. **Raises**
-    `ValueError` for input that does not fit, as a folder that holds another sweep.
+    where it failed), `steps`, and `code`: 0 where all went well, otherwise another `Outcome`, as
+    4 where only what is measured is not finite, or -1 where Ctrl-C came before. `attrs["failures"]` is a
+    text with a line for each member that failed: which it is, and for the first three why; alone they
+    are run again by `simulate`, which names step, bead and term. `to_netcdf` writes all of it.
+    **Raises** `ValueError` for input that does not fit, as a folder that holds another sweep.
     """
     points, shape, dims = _grid(axes, paired)
     for name, function in (("build", build), ("measure", measure)):
@@ -120,25 +119,27 @@ def sweep(
     if devices is not None and len(devices) == 0:
         fail("devices", "hold at least one device", "it is empty")
     ts = jnp.asarray(ts, float)
-    options: dict[str, Any] = {
-        "solver": solver,
-        "tolerance": tolerance,
-        "substeps": substeps,
-        "projected": projected,
-        "max_steps": max_steps,
-    }
+    options: dict[str, Any] = {"solver": solver, "tolerance": tolerance, "substeps": substeps}
 
     def member(point: dict[str, Array]) -> Measured:
         scene, state = _built(build, point)
         solution = rollout(scene, state, ts, **options)
         found = _measured(measure(solution, scene), [*dims, *axes])
         fine = [jnp.all(jnp.isfinite(x)) for x in found.values()]
-        code = jnp.where((solution.code == 0) & ~jnp.all(jnp.array(fine)), 4, solution.code)
-        kept = {n: jnp.where(code == 0, x.astype(float), jnp.nan) for n, x in found.items()}
+        code = jnp.where(
+            (solution.code == Outcome.FINE) & ~jnp.all(jnp.array(fine)),
+            Outcome.NOT_MEASURED,
+            solution.code,
+        )
+        kept = {
+            n: jnp.where(code == Outcome.FINE, x.astype(float), jnp.nan) for n, x in found.items()
+        }
         return Measured(kept, code, solution.steps)
 
     # With steps of their own members would wait for one another.
-    together = 1 if substeps is None else _together(build, points)
+    own = solver.substeps if isinstance(solver, AbstractSolver) else None
+    equal = substeps is not None or own is not None
+    together = _together(build, points) if equal else 1
     kept, code, steps = all_members(member, points, chunk, folder, devices, progress, together)
 
     def alone(point: dict[str, Array]) -> str:
@@ -265,12 +266,12 @@ def _failures(
 ) -> list[str]:
     """A sentence for each member that failed."""
     sentences = []
-    for row in np.flatnonzero(code != 0):
+    for row in np.flatnonzero(code != Outcome.FINE):
         who = ", ".join(f"{name} = {v[row]:g}" for name, v in points.items())
-        if code[row] == NOT_RUN:
-            why = "not run: interrupted"
-        elif code[row] == 4:
-            why = "what is measured is not finite (code 4)"
+        if code[row] == Outcome.NOT_RUN:
+            why = meaning(code[row])
+        elif code[row] == Outcome.NOT_MEASURED:
+            why = f"{meaning(code[row])} (code {code[row]})"
         else:
             why = f"broke down (code {code[row]})"
             if len(sentences) < _EXPLAINED:

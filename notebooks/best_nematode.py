@@ -110,7 +110,7 @@ class Worm:
 
 # %%
 worm = Worm(12)
-STEPS = {"solver": jb.Rosenbrock(), "substeps": 1}
+STEPS = {"solver": jb.Rosenbrock(substeps=1)}
 swim = jax.jit(lambda x: worm.swim(x, **STEPS))
 exact = worm.coefficients(len(worm.s))  # all modes that 10 joints can tell apart
 speed, power, efficiency, change, before = swim(exact)

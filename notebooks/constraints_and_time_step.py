@@ -170,7 +170,7 @@ plt.show()
 # The error of lengths grows as $\Delta t^3$, the order of the scheme, and jumps where the run becomes
 # unstable. So the jump, not a small error, marks the limit: a run counts as unstable when a length is off
 # by more than a fifth (dashed). With Gears the bonds are off by 1 % near the step (39) already, well
-# below the limit; that is a matter of accuracy (`projected=True` removes it).
+# below the limit; that is a matter of accuracy (`AB3(projected=True)` removes it).
 
 # %% [markdown]
 # ## Largest stable step

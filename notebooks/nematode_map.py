@@ -97,7 +97,7 @@ def measure(run, scene):
 
 ts = np.linspace(0, 3, 3 * SAVED + 1)
 axes = {"sperm_number": np.linspace(1.5, 6.3, 25), "amplitude": np.linspace(1.0, 10.5, 20)}
-options = {"solver": jb.Rosenbrock(), "substeps": 1}
+options = {"solver": jb.Rosenbrock(substeps=1)}
 start = time.perf_counter()
 table = jb.sweep(build, axes, ts, measure, chunk=25, progress=False, **options)
 whole = time.perf_counter() - start

@@ -34,7 +34,7 @@ from jaxbeads.force import (
     Weight,
 )
 from jaxbeads.mobility import RPY, FreeDraining
-from jaxbeads.solver import Rosenbrock
+from jaxbeads.solver import AbstractSolver, Diffrax, Rosenbrock
 
 MOBILITIES = [
     FreeDraining(),
@@ -83,12 +83,12 @@ FORCES = [
     Potential(lambda t, x: 0.05 * jnp.sum(x**2) * (1 + t)),
 ]
 
-# Solver, order; all with constant steps.
+# Solver, order.
 SOLVERS = [
     (AB3(), 3),
-    (diffrax.Euler(), 1),
-    (diffrax.Heun(), 2),
-    (diffrax.Bosh3(), 3),
+    (Diffrax(diffrax.Euler()), 1),
+    (Diffrax(diffrax.Heun()), 2),
+    (Diffrax(diffrax.Bosh3()), 3),
     (Rosenbrock(), 4),
 ]
 
@@ -96,6 +96,8 @@ SOLVERS = [
 def name(case):
     """A readable test id."""
     case = case[0] if isinstance(case, tuple) else case
+    if isinstance(case, AbstractSolver):
+        return case.name
     law = f"-{type(case.law).__name__}" if hasattr(case, "law") else ""
     free = "-free" if getattr(case, "dense", None) is False else ""
     return type(case).__name__ + law + free

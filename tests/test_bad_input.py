@@ -15,12 +15,15 @@ import pytest
 from jaxbeads import (
     AB3,
     Chain,
+    Diffrax,
+    Rosenbrock,
     Scene,
     State,
     check,
     from_directors,
     from_tangents,
     load,
+    periodic_state,
     resume,
     rollout,
     scenes,
@@ -470,23 +473,39 @@ STEPS = {
         "`substeps` must be a whole number, but it is True",
     ),
     "controller and substeps": (
-        lambda: run(solver=diffrax.Tsit5(), controller=PID, substeps=3),
+        lambda: Diffrax(diffrax.Tsit5(), controller=PID, substeps=3),
         "`substeps` must be None when a controller chooses the steps, but it is 3",
     ),
     "controller for AB3": (
-        lambda: rollout(model(), START, TIMES, solver=AB3(), controller=PID),
-        "`controller` must be None for AB3, whose steps are equal, but one is given",
+        lambda: AB3(controller=PID),
+        "`controller` must be None for a solver that does not estimate its error, but AB3 does not",
     ),
     "tolerance and substeps": (
         lambda: run(tolerance=1e-5, substeps=3),
         "`tolerance` must be None when substeps is given, but it is 1e-05",
     ),
     "tolerance and controller": (
-        lambda: run(tolerance=1e-5, controller=PID),
+        lambda: Rosenbrock(tolerance=1e-5, controller=PID),
         "`tolerance` must be None when a controller is given, but it is 1e-05",
     ),
+    "both in a solver": (
+        lambda: Rosenbrock(tolerance=1e-5, substeps=3),
+        "`tolerance` must be None when substeps is given, but it is 1e-05",
+    ),
+    "tolerance beside a solver": (
+        lambda: run(solver=Rosenbrock(), tolerance=1e-5),
+        "`tolerance` must be None beside a solver, whose own option it is",
+    ),
+    "substeps beside a solver": (
+        lambda: rollout(model(), START, TIMES, solver=AB3(), substeps=3),
+        "`substeps` must be None beside a solver, whose own option it is",
+    ),
+    "a tolerance for each bead": (
+        lambda: Rosenbrock(tolerance=[1e-5, 1e-6]),
+        "`tolerance` must have shape (), but it has shape (2,)",
+    ),
     "tolerance for AB3": (
-        lambda: run(solver=AB3(), tolerance=1e-5),
+        lambda: AB3(tolerance=1e-5),
         "`tolerance` must be None for a solver that does not estimate its error, but AB3 does not",
     ),
     "negative tolerance": (lambda: run(tolerance=-1e-5), "`tolerance` must be positive"),
@@ -496,13 +515,24 @@ STEPS = {
     ),
     "name as solver": (
         lambda: run(solver="AB3"),
-        "`solver` must be a diffrax solver object, as AB3(), but it is 'AB3'",
+        "`solver` must be a solver object, as AB3() or diffrax.Tsit5(), but it is 'AB3'",
     ),
     "class as solver": (
         lambda: run(solver=AB3),
-        "`solver` must be a diffrax solver object, as AB3()",
+        "`solver` must be a solver object, as AB3() or diffrax.Tsit5(), but it is the class AB3",
     ),
-    "no max_steps": (lambda: run(max_steps=0), "`max_steps` must be at least 1, but it is 0"),
+    "AB3 wrapped": (
+        lambda: Diffrax(AB3()),
+        "`wrapped` must be a diffrax solver object, as diffrax.Tsit5(), but it is an AB3",
+    ),
+    "a period by tolerance": (
+        lambda: periodic_state(model(), START, 1.0, solver=Rosenbrock(tolerance=1e-5)),
+        "`solver` must take equal steps in a period",
+    ),
+    "no max_steps": (
+        lambda: Rosenbrock(max_steps=0),
+        "`max_steps` must be at least 1, but it is 0",
+    ),
     "nothing to take a step from": (
         lambda: run_force(Weight([0, 1]), solver=AB3()),
         "`substeps` must be given, but it is None and the scene has no bending rigidity",
@@ -548,15 +578,15 @@ OPTIONS = {
         "`state` must hold neighbours at touching distance, but beads 0 and 1 are off it by 10 %",
     ),
     "controller a string": (
-        lambda: run(solver=diffrax.Tsit5(), controller="pid"),
+        lambda: Diffrax(diffrax.Tsit5(), controller="pid"),
         "`controller` must be",
     ),
     "controller for Euler": (
-        lambda: run(solver=diffrax.Euler(), controller=PID),
-        "`solver` must estimate its error for a controller, but Euler does not",
+        lambda: Diffrax(diffrax.Euler(), controller=PID),
+        "`controller` must be None for a solver that does not estimate its error, but Euler does",
     ),
     "implicit solver without controller": (
-        lambda: run(solver=diffrax.Kvaerno3(), substeps=3),
+        lambda: Diffrax(diffrax.Kvaerno3(), substeps=3),
         "`controller` must be given with an implicit solver",
     ),
     "two shear rates": (lambda: Shear([1.0, 2.0]), "`rate` must have shape ()"),
@@ -731,13 +761,17 @@ OTHERS = {
     ),
     "no flow": ({"flow": None}, {}, "`scene.flow` was Shear and is None"),
     "beads": ({"chain": Chain(1.0, 6)}, {}, r"`scene.chain.fibres\[0\]` was 5 and is 6"),
-    "solver": ({}, {"solver": diffrax.Heun()}, "`solver` was AB3 and is Heun"),
-    "substeps": ({}, {"substeps": 7}, "`substeps` was 1 and is 7"),
-    "projected": ({}, {"projected": True}, "`projected` was False and is True"),
+    "solver": ({}, {"solver": diffrax.Heun()}, "`solver` was AB3 and is Diffrax"),
+    "substeps": ({}, {"solver": AB3(substeps=7)}, "`solver.substeps` was 1 and is 7"),
+    "projected": (
+        {},
+        {"solver": AB3(substeps=1, projected=True)},
+        "`solver.projected` was False and is True",
+    ),
     "steps of another kind": (
         {},
-        {"solver": diffrax.Tsit5(), "substeps": None},
-        "`solver` was AB3 and is Tsit5",
+        {"solver": Rosenbrock(tolerance=1e-5)},
+        "`solver` was AB3 and is Rosenbrock",
     ),
 }
 
@@ -748,7 +782,7 @@ def test_a_file_of_another_run_is_not_continued(terms, options, says, written, t
     with pytest.raises(
         ValueError, match=f"`scene` must be the scene .*written, but {says}"
     ) as caught:
-        resume(path, model(**terms), progress=False, **{"substeps": 1} | options)
+        resume(path, model(**terms), progress=False, **(options or {"substeps": 1}))
     sentence(caught.value)
     resumed = load(path)  # and the file is as it was
     assert len(resumed.ts) == 3
@@ -803,7 +837,10 @@ WATCHED = {
     "state": lambda k: run(State(k * START.position)),
     "times": lambda k: run(ts=k * TIMES),
     "tolerance": lambda k: run(tolerance=1e-3 * k),
-    "controller": lambda k: run(controller=diffrax.PIDController(rtol=0.0, atol=1e-6 * k)),
+    "own tolerance": lambda k: run(solver=Rosenbrock(tolerance=1e-3 * k)),
+    "controller": lambda k: run(
+        solver=Rosenbrock(controller=diffrax.PIDController(rtol=0.0, atol=1e-6 * k))
+    ),
 }
 
 

@@ -11,6 +11,7 @@ from cases import bent
 from jaxbeads import Chain, Scene, Solution, State, objectives, observables, rollout
 from jaxbeads.constraint import Gears, clamped
 from jaxbeads.force import Bending, Weight
+from jaxbeads.solver import Diffrax, Rosenbrock
 
 COMPILING = "/jax/core/compile/jaxpr_to_mlir_module_duration"
 
@@ -58,10 +59,11 @@ OPTIONS = {
     "default": lambda number: {},
     "AB3": lambda number: {"substeps": 3},
     "tolerance": lambda number: {"tolerance": 1e-4 / (1 + number)},
+    "its own tolerance": lambda number: {"solver": Rosenbrock(tolerance=1e-4 / (1 + number))},
+    "no tolerance": lambda number: {"solver": Rosenbrock(substeps=3)},
     "Tsit5": lambda number: {"solver": diffrax.Tsit5(), "tolerance": 1e-4},
     "controller": lambda number: {
-        "solver": diffrax.Bosh3(),
-        "controller": diffrax.PIDController(rtol=0.0, atol=1e-4),
+        "solver": Diffrax(diffrax.Bosh3(), controller=diffrax.PIDController(rtol=0.0, atol=1e-4)),
     },
 }
 

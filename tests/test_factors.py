@@ -118,13 +118,13 @@ def test_parts():
     ]
 
 
-@pytest.mark.parametrize("solver", [jb.AB3(), jb.Rosenbrock()])
+@pytest.mark.parametrize("solver", [jb.AB3(substeps=2), jb.Rosenbrock(substeps=2)])
 def test_calls_stay_small_in_a_batch_of_runs(solver):
     case = scenes.settling(6)
     ts = jnp.linspace(0, 1e-2, 2)
 
     def end(scene):
-        run = jb.rollout(scene, case.state, ts, solver=solver, substeps=2)
+        run = jb.rollout(scene, case.state, ts, solver=solver)
         return run.final.position.sum()
 
     end = jb.vary(end, case.scene, lambda scene: scene.viscosity)

@@ -24,6 +24,7 @@ from jaxbeads.flow import VelocityField
 from jaxbeads.force import Bending, ForceField, Potential, Weight
 from jaxbeads.geometry import norm
 from jaxbeads.mobility import FreeDraining
+from jaxbeads.solver import Diffrax
 from jaxbeads.state import Motion
 
 CHAIN = Chain(1.0, 5)
@@ -123,7 +124,7 @@ def test_what_has_no_derivative_is_named_at_once(name):
 def test_steps_that_are_equal():
     model, term, how, bead = CASES["ForceField"]
     with pytest.raises(SimulationError) as caught:
-        simulate(model, MIDDLE, [0.0, 1.0], progress=False, solver=Rosenbrock(), substeps=4)
+        simulate(model, MIDDLE, [0.0, 1.0], progress=False, solver=Rosenbrock(substeps=4))
     assert caught.value.cause.term == term and how in str(caught.value)
     assert caught.value.cause.bead == bead and "substeps" not in str(caught.value)
 
@@ -161,10 +162,10 @@ def test_searches_name_the_term():
     model, term, how, _ = CASES["ForceField"]
     with pytest.raises(RuntimeError, match=f"No steady state .* {term}, .*{how}.*norm"):
         steady_state(model, MIDDLE, moving=False)
-    options = {"moving": False, "turning": False, "substeps": 4, "solver": Rosenbrock()}
+    options = {"moving": False, "turning": False, "solver": Rosenbrock(substeps=4)}
     with pytest.raises(RuntimeError, match=f"No periodic state .* {term}, .*{how}.*norm"):
         periodic_state(model, MIDDLE, 1.0, **options)
-    options["solver"] = diffrax.Heun()
+    options["solver"] = Diffrax(diffrax.Heun(), substeps=4)
     broken = scene(ForceField(lambda t, r: jnp.where(t > 0.6, jnp.nan, -r)))
     with pytest.raises(RuntimeError, match=r"No periodic state .* ForceField, its load is not"):
         periodic_state(broken, MIDDLE, 1.0, **options)

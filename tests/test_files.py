@@ -1,5 +1,6 @@
 """Files, restart, and runs that end before their time (gate T10)."""
 
+import dataclasses
 import os
 import signal
 import subprocess
@@ -18,6 +19,7 @@ from jaxbeads import AB3, Chain, Scene, SimulationError, load, resume, simulate,
 from jaxbeads.constraint import Gears
 from jaxbeads.flow import VelocityField
 from jaxbeads.force import Bending, ForceField, Weight
+from jaxbeads.solver import Diffrax
 
 CHAIN = Chain(1.0, 6)
 TIMES = np.linspace(0.0, 2.0, 13)
@@ -28,12 +30,10 @@ def model(force=None):
     return Scene(CHAIN, 1.0, constraints=[Gears()], forces=forces)
 
 
-ADAPTIVE = {
-    "solver": diffrax.Tsit5(),
-    "controller": diffrax.PIDController(rtol=0.0, atol=1e-7),
-}
-OPTIONS = [{"solver": solver, "substeps": 7} for solver, _ in SOLVERS]
-OPTIONS += [{"solver": AB3(), "substeps": 1}, {"substeps": 7, "projected": True}, ADAPTIVE, {}]
+ADAPTIVE = Diffrax(diffrax.Tsit5(), controller=diffrax.PIDController(rtol=0.0, atol=1e-7))
+OPTIONS = [{"solver": dataclasses.replace(solver, substeps=7)} for solver, _ in SOLVERS]
+OPTIONS += [{"solver": AB3(substeps=1)}, {"solver": AB3(substeps=7, projected=True)}]
+OPTIONS += [{"solver": ADAPTIVE}, {}]
 
 
 def bits(solution):
@@ -165,9 +165,8 @@ def test_a_controller_that_finds_no_step_is_named():
         return jnp.where(t > 1.0, 1e3 * jnp.sign(jnp.sin(1e9 * t)), 0.0) * x
 
     with pytest.raises(SimulationError, match=r"60 steps from t = .* did not reach"):
-        simulate(
-            model(ForceField(cliff)), bent(CHAIN), TIMES, progress=False, max_steps=60, **ADAPTIVE
-        )
+        solver = dataclasses.replace(ADAPTIVE, max_steps=60)
+        simulate(model(ForceField(cliff)), bent(CHAIN), TIMES, progress=False, solver=solver)
 
 
 def test_versions_are_stored(tmp_path):
@@ -212,6 +211,8 @@ def test_an_interrupt_in_the_middle_of_a_write(place, tmp_path, monkeypatch):
 
 
 LONG = np.linspace(0.0, 120.0, 13)
+PRECISE = Diffrax(diffrax.Tsit5(), tolerance=1e-10)
+LONGER = dataclasses.replace(PRECISE, max_steps=10**6)
 
 
 def stopped_at_its_limit(path, scene=None):
@@ -220,13 +221,11 @@ def stopped_at_its_limit(path, scene=None):
             scene or model(),
             bent(CHAIN),
             LONG,
-            solver=diffrax.Tsit5(),
-            tolerance=1e-10,
-            max_steps=3,
+            solver=dataclasses.replace(PRECISE, max_steps=3),
             progress=False,
             file=path,
         )
-    return {"solver": diffrax.Tsit5(), "tolerance": 1e-10, "progress": False}
+    return {"solver": PRECISE, "progress": False}
 
 
 def test_a_run_goes_on_with_larger_limits(tmp_path):
@@ -234,8 +233,9 @@ def test_a_run_goes_on_with_larger_limits(tmp_path):
     options = stopped_at_its_limit(path)
     done = len(load(path).ts)
     assert load(path).status == "unfinished" and 1 <= done < len(LONG)
-    rest = resume(path, model(), max_steps=10**6, chunk=2, bond_tolerance=0.02, **options)
-    whole = simulate(model(), bent(CHAIN), LONG, max_steps=10**6, **options)
+    options["solver"] = LONGER
+    rest = resume(path, model(), chunk=2, bond_tolerance=0.02, **options)
+    whole = simulate(model(), bent(CHAIN), LONG, **options)
     assert bits(load(path)) == bits(whole) and int(rest.steps) == int(whole.steps)
     assert load(path).status == rest.status == "finished" and int(rest.code) == 0
     assert len(rest.ts) == len(LONG) - done + 1
@@ -251,7 +251,11 @@ def test_numbers_of_the_solver_and_of_laws_are_compared(tmp_path):
     options = stopped_at_its_limit(path, pulled(0.5))
     before = path.read_bytes()
     for scene, others, says in (
-        (pulled(0.5), {"tolerance": 1e-9}, "`controller.atol` was 1.2.*e-09 and is 1.2.*e-08"),
+        (
+            pulled(0.5),
+            {"solver": dataclasses.replace(PRECISE, tolerance=1e-9)},
+            "`solver.tolerance` was 1e-10 and is 1e-09",
+        ),
         (pulled(0.6), {}, r"`scene.forces\[1\].function.strength` was 0.5 and is 0.6"),
         (pulled(0, lambda t, x: jnp.cos(t) + 0.0 * x), {}, r"function` was .* is .*<lambda>"),
         (model(), {}, r"`scene.forces` was \(Bending, ForceField\) and is \(Weight, Bending\)"),
@@ -270,7 +274,7 @@ jax.config.update("jax_enable_x64", True)
 import test_files
 what, path = sys.argv[1:]
 if what == "resume":
-    options = {"solver": test_files.diffrax.Tsit5(), "tolerance": 1e-10, "progress": False}
+    options = {"solver": test_files.PRECISE, "progress": False}
     test_files.resume(path, test_files.pulled(0.5), **options)
 else:  # as a second program
     for run in (test_files.simulated, test_files.resumed):
@@ -346,7 +350,7 @@ def test_a_run_that_does_not_begin_leaves_an_older_file(tmp_path):
         (twice, {}, ValueError),
         (nowhere, {}, SimulationError),
         (model(), {"bond_tolerance": -1.0}, ValueError),
-        (model(), {"max_steps": 0}, ValueError),
+        (model(), {"substeps": 0}, ValueError),
     ):
         with pytest.raises(kind):
             simulate(scene, bent(CHAIN), TIMES, progress=False, file=path, **options)

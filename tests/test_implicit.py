@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import bent, jointed, scene
+from cases import FORCES, bent, jointed, scene
 
 import jaxbeads as jb
 from jaxbeads import AB3, Chain, Scene, SimulationError, State, dynamics, rollout, simulate
@@ -25,6 +25,7 @@ from jaxbeads.constraint import (
 from jaxbeads.coordinates import coordinates, project
 from jaxbeads.flow import OscillatingShear, Poiseuille, Shear, VelocityField
 from jaxbeads.force import (
+    AbstractForce,
     Bending,
     BendingEnergy,
     Contact,
@@ -153,7 +154,7 @@ def test_states_between_steps_are_of_order_three_at_least():
 
 
 def solved(model, state, h):
-    solver, t = Rosenbrock(), jnp.asarray(0.3)
+    solver, t = Rosenbrock().scheme, jnp.asarray(0.3)
 
     def step(t0, t1, state):
         return solver.step(None, t0, t1, state, model, None, False)
@@ -188,7 +189,7 @@ def test_tolerance_means_a_fraction_of_the_length():
     # Its accuracy, not the fastest bending rate, bounds the step.
     assert steps[1] < 20.0 / float(jb.solver.explicit_step(model)) / 10
     # In other units, and in the explicit scheme: the same.
-    limit = rollout(model, state, ts, solver=AB3(), substeps=4000)
+    limit = rollout(model, state, ts, solver=AB3(substeps=4000))
     assert np.abs(limit.final.position - exact.final.position).max() < 1e-5
 
 
@@ -203,13 +204,13 @@ def test_stiffness_costs_no_steps():
     assert int(long.steps) < int(short.steps) + 30
 
 
-def test_it_is_a_diffrax_solver():
+def test_its_scheme_is_a_diffrax_solver():
     chain = Chain(1.0, 4)
     model, state = Scene(chain, 1.0, constraints=[Gears()], forces=[Bending(3.0)]), bent(chain)
     term = diffrax.ODETerm(lambda t, y, scene: dynamics.rate(t, y, scene))
     controller = diffrax.PIDController(rtol=0.0, atol=1e-7)
     found = diffrax.diffeqsolve(
-        term, Rosenbrock(), 0.0, 1.0, 0.01, state, model, stepsize_controller=controller
+        term, Rosenbrock().scheme, 0.0, 1.0, 0.01, state, model, stepsize_controller=controller
     ).ys.position[-1]
     own = rollout(model, state, [0.0, 1.0], tolerance=1e-8).final.position
     assert np.abs(found - own).max() < 1e-6
@@ -221,7 +222,23 @@ def test_the_default_solver_fits_the_scene():
     for force in stiff:
         assert isinstance(default_solver(Scene(chain, 1.0, forces=[force])), Rosenbrock)
     for forces in ([], [Weight([0.0, -1.0])], [Contact(1.0, 0.1, 0.1)]):
-        assert isinstance(default_solver(Scene(chain, 1.0, forces=forces)), diffrax.Tsit5)
+        assert default_solver(Scene(chain, 1.0, forces=forces)).name == "Tsit5"
+
+
+def kinds(kind):
+    for other in kind.__subclasses__():
+        yield other
+        yield from kinds(other)
+
+
+def test_a_force_that_bounds_explicit_steps_is_declared_stiff():
+    own = [k for k in kinds(AbstractForce) if k.__module__.startswith("jaxbeads.")]
+    assert {k.__name__ for k in own} > {"Bending", "Weight"}
+    for kind in own:
+        assert kind.stiff == (kind.explicit_step is not AbstractForce.explicit_step), kind
+    chain = Chain(1.0, 9)
+    for force in FORCES:
+        assert force.stiff == bool(np.isfinite(force.explicit_step(chain, jnp.asarray(1.0))))
 
 
 def test_a_step_that_fails_is_made_smaller():

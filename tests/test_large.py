@@ -2,7 +2,6 @@
 
 import re
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -202,7 +201,7 @@ def test_no_array_of_pairs():
 def test_a_large_run_takes_an_explicit_solver():
     model = scene(Chain(1.0, 1001))
     state = bent(model.chain)
-    assert isinstance(default_solver(model), diffrax.Tsit5)
+    assert default_solver(model).name == "Tsit5"
     assert isinstance(default_solver(scene(Chain(1.0, 1000))), jb.Rosenbrock)
     with pytest.raises(ValueError, match="`solver` must be explicit"):
         jb.rollout(model, state, [0.0, 1.0], solver=jb.Rosenbrock())

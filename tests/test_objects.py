@@ -31,7 +31,9 @@ from jaxbeads.constraint import Gears
 from jaxbeads.files import DamagedFile
 from jaxbeads.flow import OscillatingShear
 from jaxbeads.force import Bending, ForceField, Weight
+from jaxbeads.outcome import Outcome, meaning
 from jaxbeads.solution import Ending
+from jaxbeads.solver import Diffrax, Rosenbrock
 
 CHAIN = Chain(1.0, 4)
 START = bent(CHAIN)
@@ -117,9 +119,19 @@ def test_solvers_are_named(runs):
         "Rosenbrock",
         "Rosenbrock",
     ]
-    for solver in (diffrax.Heun(), AB3()):
-        pure = jax.jit(lambda s=solver: rollout(model(), START, TIMES, solver=s, substeps=2))()
-        assert pure.solver == type(solver).__name__
+    for solver in (Diffrax(diffrax.Heun(), substeps=2), AB3(substeps=2)):
+        pure = jax.jit(lambda s=solver: rollout(model(), START, TIMES, solver=s))()
+        assert pure.solver == solver.name
+
+
+def test_each_outcome_is_a_sentence():
+    assert [int(o) for o in Outcome] == [-1, 0, 1, 2, 3, 4, 5]
+    for one in Outcome:
+        assert one.sentence[0].isupper() and one.sentence.endswith(".")
+        assert Outcome(int(one)) is one and pickle.loads(pickle.dumps(one)) is one
+        # Compiled programs take it as the number that it is.
+        assert int(jax.jit(lambda x, o=one: jnp.where(x, o, 7))(True)) == one
+    assert meaning(17) == "not one of a run"
 
 
 def test_a_solution_prints_itself(runs):
@@ -230,7 +242,9 @@ def test_results_are_copied_whole(runs, way):
         scene,
         START,
         CHAIN,
-        AB3(),
+        AB3(substeps=3),
+        Rosenbrock(tolerance=1e-5, max_steps=10),
+        Diffrax(diffrax.Tsit5(), projected=False),
         OPTIMUM,
         steady_state(drifting, START),
         periodic_state(swaying, START, 1.0, substeps=20, accuracy=1e-4),

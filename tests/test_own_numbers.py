@@ -69,7 +69,7 @@ def alone(tau=0.7, force=3.0, **others):
 OPTIONS = {
     "AB3": {"substeps": 400},
     "Tsit5": {"tolerance": 1e-9},
-    "Rosenbrock": {"solver": jb.Rosenbrock(), "tolerance": 1e-9},
+    "Rosenbrock": {"solver": jb.Rosenbrock(tolerance=1e-9)},
 }
 
 

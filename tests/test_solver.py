@@ -1,5 +1,6 @@
 """Time stepping: order, drift, gradients, one trace, and the pure and the watched run (T5, T6, T14)."""
 
+import dataclasses
 from functools import cache, partial
 
 import diffrax
@@ -11,12 +12,12 @@ import pytest
 from cases import SOLVERS, bent, name, scene
 
 import jaxbeads
-from jaxbeads import AB3, Chain, Scene, dynamics, rollout, simulate, straight
+from jaxbeads import AB3, Chain, Outcome, Scene, dynamics, rollout, simulate, straight
 from jaxbeads.actuation import TravellingWave
 from jaxbeads.constraint import Gears
 from jaxbeads.flow import OscillatingShear
 from jaxbeads.force import Bending, BendingEnergy, Weight
-from jaxbeads.solver import Rosenbrock, explicit_step, substeps_for
+from jaxbeads.solver import Diffrax, Rosenbrock, explicit_step, substeps_for
 
 CHAIN = Chain(1.0, 5)
 TIMES = np.linspace(0.0, 4.0, 3)
@@ -45,14 +46,34 @@ def test_observed_order(solver, order):
     options = {"flow": False, "rigidity": 40.0} if order == 4 else {}
     model, state = moving(**options)
     first = {1: 1600, 2: 200, 3: 200, 4: 5}[order]
-    errors = []
+    errors, solver = [], dataclasses.replace(solver, substeps=1)
     for steps in (first * 2**k for k in range(5)):
         ts = np.linspace(TIMES[0], TIMES[-1], steps + 1)
-        run = simulate(model, state, ts, solver=solver, substeps=1, chunk=100, progress=False)
+        run = simulate(model, state, ts, solver=solver, chunk=100, progress=False)
         errors.append(float(jnp.abs(run.final.position - exact(**options)[-1]).max()))
     slopes = np.diff(np.log(errors)) / -np.log(2)
     assert errors[-1] > 1e-12  # else rounding is measured
     assert abs(slopes[-1] - order) < 0.1, (errors, slopes)
+
+
+@pytest.mark.parametrize("solver, _", SOLVERS, ids=name)
+def test_what_a_solver_declares(solver, _):
+    model, state = moving()
+    run = rollout(model, state, TIMES, solver=dataclasses.replace(solver, substeps=100))
+    assert run.solver == solver.name
+    assert bool(np.max(run.bond_length_error) < 1e-13) == solver.keeps_bonds
+    by_error = partial(dataclasses.replace, solver, tolerance=1e-5)
+    if solver.estimates_error:
+        assert int(rollout(model, state, TIMES, solver=by_error()).code) == 0
+    else:
+        with pytest.raises(ValueError, match=f"estimate its error, but {solver.name} does not"):
+            by_error()
+    uneven = [0.0, 0.1, 0.3]
+    if solver.equal_steps:
+        with pytest.raises(ValueError, match=f"evenly spaced for {solver.name}"):
+            rollout(model, state, uneven, solver=solver)
+    else:
+        assert rollout(model, state, uneven, solver=solver).ts.shape == (3,)
 
 
 def test_the_implicit_solver_keeps_its_order_in_unsteady_scenes():
@@ -60,7 +81,7 @@ def test_the_implicit_solver_keeps_its_order_in_unsteady_scenes():
     model, state = moving()
     errors = []
     for substeps in (5, 10, 20):
-        run = rollout(model, state, TIMES, solver=Rosenbrock(), substeps=substeps)
+        run = rollout(model, state, TIMES, solver=Rosenbrock(substeps=substeps))
         errors.append(float(jnp.abs(run.final.position - exact()[-1]).max()))
     assert np.all(np.diff(np.log(errors)) / -np.log(2) > 3.9), errors
     assert errors[-1] > 1e-12
@@ -70,7 +91,7 @@ def test_projection_keeps_the_order():
     model, state = moving()
     errors = []
     for substeps in (200, 400, 800):
-        run = rollout(model, state, TIMES, substeps=substeps, projected=True)
+        run = rollout(model, state, TIMES, solver=AB3(substeps=substeps, projected=True))
         errors.append(float(jnp.abs(run.final.position - exact()[-1]).max()))
         error = np.abs(np.asarray(Gears().drift(run.final, CHAIN))).max()
         assert error < 1e-14
@@ -94,7 +115,8 @@ def test_drift_after_many_steps():
     case = jaxbeads.scenes.settling(34, 3000.0)
     times = np.arange(11) * 1000 * float(explicit_step(case.scene))
     free = simulate(case.scene, case.state, times, substeps=1000, progress=False)
-    kept = simulate(case.scene, case.state, times, substeps=1000, progress=False, projected=True)
+    solver = AB3(substeps=1000, projected=True)
+    kept = simulate(case.scene, case.state, times, solver=solver, progress=False)
     assert np.max(free.bond_length_error) > 1e-8
     assert np.max(kept.bond_length_error) < 1e-13
 
@@ -134,7 +156,8 @@ def test_adaptive_steps(solver):
     errors, steps = [], []
     for tolerance in (1e-4, 1e-8):
         controller = diffrax.PIDController(rtol=0.0, atol=tolerance)
-        run = simulate(model, state, TIMES, solver=solver, controller=controller, progress=False)
+        by = Diffrax(solver, controller=controller)
+        run = simulate(model, state, TIMES, solver=by, progress=False)
         errors.append(float(jnp.abs(run.states.position - exact()).max()))
         steps.append(int(run.steps))
         assert int(run.code) == 0
@@ -151,27 +174,27 @@ def test_rollout_says_when_its_steps_are_too_long():
     run = jax.jit(lambda n: rollout(model, state, ts, substeps=n), static_argnums=0)
     short, long = run(substeps_for(model, ts)), run(20)
     assert int(short.code) == 0 and np.max(short.bond_length_error) < 1e-3
-    assert int(long.code) == 3 and np.max(long.bond_length_error) > 0.01
+    assert int(long.code) == Outcome.BROKEN and np.max(long.bond_length_error) > 0.01
     assert np.all(np.isfinite(long.states.position))
     twice = Scene(chain, 1.0, constraints=[Gears(), Gears()], forces=[bending])
-    assert int(rollout(twice, state, ts, substeps=1).code) == 3  # NaN, and said so
+    assert int(rollout(twice, state, ts, substeps=1).code) == Outcome.BROKEN  # NaN, and said so
 
 
 def test_vmap_equals_loop():
     model, state = moving()
     rigidities = jnp.array([1.0, 4.0, 9.0])
 
-    def final(rigidity, solver, **options):
+    def final(rigidity, solver):
         varied = eqx.tree_at(lambda m: m.forces[1].rigidity, model, rigidity)
-        return rollout(varied, state, TIMES, solver=solver, **options).final.position
+        return rollout(varied, state, TIMES, solver=solver).final.position
 
-    cases = [
-        (AB3(), {"substeps": 40}),
-        (diffrax.Tsit5(), {"controller": diffrax.PIDController(rtol=0.0, atol=1e-6)}),
-        (Rosenbrock(), {"tolerance": 1e-5}),
+    solvers = [
+        AB3(substeps=40),
+        Diffrax(diffrax.Tsit5(), controller=diffrax.PIDController(rtol=0.0, atol=1e-6)),
+        Rosenbrock(tolerance=1e-5),
     ]
-    for solver, options in cases:
-        one = partial(final, solver=solver, **options)
+    for solver in solvers:
+        one = partial(final, solver=solver)
         batch, alone = jax.jit(jax.vmap(one))(rigidities), jax.jit(one)
         for k, member in zip(rigidities, batch, strict=True):
             assert np.abs(alone(k) - member).max() < 1e-12
@@ -192,8 +215,8 @@ def test_gradient_of_a_trajectory(solver, dim):
         options = {
             "AB3": {"substeps": 20},
             "Tsit5": {"solver": diffrax.Tsit5(), "substeps": 5},
-            "adaptive": {"solver": diffrax.Tsit5(), "tolerance": tolerance, "max_steps": 256},
-            "Rosenbrock": {"solver": Rosenbrock(), "substeps": 3},
+            "adaptive": {"solver": Diffrax(diffrax.Tsit5(), tolerance=tolerance, max_steps=256)},
+            "Rosenbrock": {"solver": Rosenbrock(substeps=3)},
         }[solver]
         return jnp.sum(jnp.sin(rollout(model, state, TIMES, **options).states.position))
 
@@ -273,13 +296,14 @@ def test_single_precision_when_asked_for():
     assert 1e-8 < np.abs(run.states.position - exact.states.position).max() < 1e-4
 
 
-@pytest.mark.parametrize("solver", [diffrax.Tsit5(), Rosenbrock()], ids=name)
+@pytest.mark.parametrize("solver", [Diffrax(diffrax.Tsit5()), Rosenbrock()], ids=name)
 def test_derivatives_by_the_times(solver):
     # The first step is tried several times here: the time at which it starts counts all the same.
     model, state = moving()
+    solver = dataclasses.replace(solver, tolerance=1e-10)
 
     def value(ts):
-        run = rollout(model, state, ts, solver=solver, tolerance=1e-10)
+        run = rollout(model, state, ts, solver=solver)
         return jnp.sum(jnp.sin(run.states.position))
 
     ts, h = jnp.array([0.3, 1.1, 2.0]), 1e-4

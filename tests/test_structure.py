@@ -15,12 +15,12 @@ PACKAGE = Path(jaxbeads.__file__).parent
 ORDER = [
     {"plain"},
     {"_compat"},
-    {"_typing", "_checks", "loops", "programs"},
+    {"_typing", "_checks", "loops", "programs", "outcome"},
     {"_functions", "domain"},
     {"factors", "iterations", "units", "optimum"},
     {"vary", "optimise", "chunks", "cache", "contents", "places"},
     {"state", "geometry"},
-    {"pairs", "solution"},
+    {"pairs"},
     {"configuration"},
     {"tensors"},
     {"chain", "flow", "actuation", "numbers"},
@@ -34,6 +34,7 @@ ORDER = [
     {"dynamics"},
     {"linearise", "observables", "faults"},
     {"solver", "steady"},
+    {"solution"},
     {"rollout"},
     {"breakdown", "files", "objectives", "periodic"},
     {"simulate"},
@@ -41,7 +42,7 @@ ORDER = [
     {"__main__"},
 ]
 # What the files of a sub-package may import from one another.
-SHARED = {"solver": {"ab3", "watch"}, "force": {"base", "curvature"}, "scenes": {"case", "models"}}
+SHARED = {"solver": {"base", "watch"}, "force": {"base", "curvature"}, "scenes": {"case", "models"}}
 RANK = {name: rank for rank, row in enumerate(ORDER) for name in row}
 
 

@@ -98,7 +98,7 @@ def test_every_ready_made_scene(ready):
 
 @pytest.mark.parametrize(
     "options",
-    [{}, {"solver": diffrax.Tsit5()}, {"solver": AB3(), "substeps": 10}],
+    [{}, {"solver": diffrax.Tsit5()}, {"solver": AB3(substeps=10)}],
     ids=["default", "Tsit5", "AB3"],
 )
 def test_trajectories(options):
@@ -310,7 +310,7 @@ def test_a_whole_number_of_steps_stays_whole():
         ts = (late + step * 10 * np.arange(4)).astype(dtype)
         assert substeps_for(scene, ts, float(np.asarray(step, dtype))) in (10, 12)
         assert substeps_for(scene, ts, step) == substeps_for(scene, step * 10 * np.arange(4), step)
-    assert FixedSteps(AB3(), 10).substeps == 10
+    assert FixedSteps(AB3(substeps=10)).substeps == 10
 
 
 def products(program):

@@ -28,6 +28,8 @@ class AbstractForce(eqx.Module):
     """Whether `passed` has something to say."""
     links: ClassVar[bool] = False
     """Whether it keeps neighbours together, as springs do."""
+    stiff: ClassVar[bool] = False
+    """Whether it is stiff, as bending is: true of a force that bounds explicit steps."""
 
     @abc.abstractmethod
     def load(self, t: Float[Array, ""], state: State, scene: Setting) -> Load:

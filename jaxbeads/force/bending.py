@@ -96,6 +96,7 @@ class Bending(AbstractForce):
 
     rotational: ClassVar[bool] = True
     smooth: ClassVar[bool] = True
+    stiff: ClassVar[bool] = True
     rigidity: Array
     intrinsic_curvature: Curvature
     law: AbstractCurvatureLaw
@@ -196,6 +197,7 @@ class BendingEnergy(AbstractPotential):
 
     rotational: ClassVar[bool] = False
     smooth: ClassVar[bool] = True
+    stiff: ClassVar[bool] = True
     rigidity: Array
     intrinsic_curvature: Curvature
     law: AbstractCurvatureLaw

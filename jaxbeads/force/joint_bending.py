@@ -90,6 +90,7 @@ class JointBending(AbstractForce):
     rotational: ClassVar[bool] = True
     smooth: ClassVar[bool] = True
     oriented: ClassVar[bool] = True
+    stiff: ClassVar[bool] = True
     rigidity: Array
     intrinsic_curvature: Curvature
     law: AbstractCurvatureLaw

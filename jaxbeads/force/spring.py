@@ -32,6 +32,7 @@ class Spring(AbstractPotential):
     rotational: ClassVar[bool] = False
     smooth: ClassVar[bool] = True
     links: ClassVar[bool] = True
+    stiff: ClassVar[bool] = True
     stiffness: Array = eqx.field(converter=float_array)
 
     def __check_init__(self) -> None:

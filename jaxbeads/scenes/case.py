@@ -1,11 +1,11 @@
 """What a ready-made scene consists of."""
 
+import dataclasses
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -14,10 +14,11 @@ from jaxtyping import Array
 
 from ..chain import Chain, straight
 from ..dynamics import motion
+from ..rollout import Solver, Tolerance, solver_for
 from ..scene import Scene
 from ..simulate import simulate
 from ..solution import Solution
-from ..solver import AB3
+from ..solver import AbstractSolver
 from ..state import State
 
 Value = float | Sequence[float] | bool | None
@@ -42,20 +43,31 @@ class Case(NamedTuple):
 
     def simulate(self, **options: Any) -> Solution:
         """Run it with `jaxbeads.simulate`; options as there (they replace the case's own)."""
-        own: dict[str, Any] = {"until": self.until, "chunk": self.chunk}
-        solver = options.get("solver")
-        adaptive = solver is None or isinstance(solver, diffrax.AbstractAdaptiveSolver)
-        if isinstance(solver, AB3):
-            own["substeps"] = self.substeps
-        elif adaptive and options.get("substeps") is None and options.get("controller") is None:
-            own["tolerance"] = self.tolerance
-        solution = simulate(self.scene, self.state, self.ts, **{**own, **options})
+        own: dict[str, Any] = {"until": self.until, "chunk": self.chunk, **options}
+        solver = self._solver(
+            *(own.pop(name, None) for name in ("solver", "tolerance", "substeps"))
+        )
+        solution = simulate(self.scene, self.state, self.ts, solver=solver, **own)
         if self.until is not None and solution.status == "finished":
             warnings.warn(
                 f"The run is not yet steady or periodic at its last time, t = {self.ts[-1]:g}.",
                 stacklevel=2,
             )
         return solution
+
+    def _solver(
+        self, solver: Solver | None, tolerance: Tolerance | None, substeps: int | None
+    ) -> AbstractSolver:
+        """The solver that the arguments mean, with the case's steps where they say nothing of steps."""
+        meant = solver_for(self.scene, solver, tolerance, substeps)
+        options = meant.tolerance, meant.substeps, meant.controller
+        if any(option is not None for option in options):
+            return meant
+        if meant.equal_steps:
+            return dataclasses.replace(meant, substeps=self.substeps)
+        if meant.estimates_error:
+            return dataclasses.replace(meant, tolerance=self.tolerance)
+        return meant
 
 
 @dataclass(frozen=True)

@@ -1,13 +1,16 @@
 """Solvers: ways to advance a state in time.
 
-`AB3` is the paper's scheme. Any solver of `diffrax` serves as well, with constant steps or with a
-step-size controller. A new one is a class derived from `diffrax.AbstractSolver` in a file of its own,
-a line here and a line in `tests/cases.py`.
+A solver carries its own options and declares what it can do, see `AbstractSolver`. `AB3` is the paper's
+scheme, `Rosenbrock` the one for stiff scenes; `Diffrax` holds any solver of `diffrax`. A new one is a
+class derived from `AbstractSolver` with a scheme derived from `diffrax.AbstractSolver`, in a file of its
+own, a line here and a line in `tests/cases.py`.
 """
 
 from .ab3 import AB3 as AB3
+from .base import AbstractSolver as AbstractSolver
 from .rosenbrock import Rosenbrock as Rosenbrock
 from .stepping import AdaptiveSteps as AdaptiveSteps
 from .stepping import FixedSteps as FixedSteps
 from .stepping import explicit_step as explicit_step
 from .stepping import substeps_for as substeps_for
+from .wrapped import Diffrax as Diffrax

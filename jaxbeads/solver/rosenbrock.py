@@ -19,6 +19,7 @@ from ..linearise import coordinate_derivative, coordinate_rate, linearise
 from ..loops import keep
 from ..scene import Scene
 from ..state import State
+from .base import AbstractSolver
 
 # RODAS, written for the vectors u that spare products with the Jacobian W:
 # (I - h GAMMA W) u_i = GAMMA [h f(t + ALPHA_i h, y + sum A_ij u_j) + sum C_ij u_j + h^2 DRIFT_i f_t],
@@ -73,6 +74,10 @@ def _square(rows: tuple[tuple[float, ...], ...]) -> np.ndarray:
     return np.array([(*row, *[0.0] * (len(rows) - len(row))) for row in rows])
 
 
+_SINGULAR: Any = diffrax.RESULTS.singular
+"""The result where the linearisation at the start of a step is not finite: none smaller mends it."""
+
+
 class _Interpolation(diffrax.AbstractLocalInterpolation):
     """States between the ends of a step: a cubic in the coordinates."""
 
@@ -91,7 +96,7 @@ class _Interpolation(diffrax.AbstractLocalInterpolation):
         return self.coordinates.state(s * (self.x1 + (1 - s) * (first + s * second)))
 
 
-class Rosenbrock(diffrax.AbstractAdaptiveSolver):
+class Rodas(diffrax.AbstractAdaptiveSolver):
     """Linearly implicit steps of order 4 with an error estimate of order 3, stiffly accurate and
     L-stable: the method RODAS of Hairer & Wanner, Solving Ordinary Differential Equations II, ch. VI.4.
 
@@ -103,8 +108,6 @@ class Rosenbrock(diffrax.AbstractAdaptiveSolver):
 
     term_structure: ClassVar = diffrax.AbstractTerm
     interpolation_cls: ClassVar[Callable[..., Any]] = _Interpolation
-    hopeless: ClassVar[Any] = diffrax.RESULTS.singular
-    """The result where the linearisation at the start of a step is not finite: none smaller mends it."""
 
     def order(self, terms: PyTree) -> int:
         """4."""
@@ -136,12 +139,28 @@ class Rosenbrock(diffrax.AbstractAdaptiveSolver):
         error = jax.tree.map(lambda a, b: a - b, y1, other)
         bend = jnp.asarray(_DENSE, us.dtype) @ us
         dense = {"coordinates": chart, "x1": x1, "bend": bend}
-        result = diffrax.RESULTS.where(finite, diffrax.RESULTS.successful, self.hopeless)
+        result = diffrax.RESULTS.where(finite, diffrax.RESULTS.successful, _SINGULAR)
         return y1, error, dense, None, result
 
     def func(self, terms: Any, t0: Any, y0: State, args: Scene) -> State:
         """The right-hand side."""
         return terms.vf(t0, y0, args)
+
+
+class Rosenbrock(AbstractSolver):
+    """Linearly implicit steps for stiff scenes, as `Rosenbrock(tolerance=1e-6)`: the scheme `Rodas`.
+
+    **Arguments**, by name: as for `AbstractSolver`.
+    """
+
+    keeps_bonds: ClassVar[bool] = True
+    needs_matrix: ClassVar[bool] = True
+    hopeless: ClassVar[Any] = _SINGULAR
+
+    @property
+    def scheme(self) -> Rodas:
+        """Of order 4."""
+        return Rodas()
 
 
 class _Factor(NamedTuple):

@@ -19,8 +19,10 @@ from ..coordinates import project, tidied
 from ..dynamics import rate
 from ..geometry import norm
 from ..loops import checkpointed, loop
+from ..outcome import Outcome
 from ..scene import Scene
 from ..state import State
+from .base import AbstractSolver
 from .watch import watch
 
 Time = Any  # a scalar: `diffrax` hands out floats and arrays
@@ -49,9 +51,7 @@ class Carry(eqx.Module):
     steps: Int[Array, ""]
     """Attempted steps so far."""
     code: Int[Array, ""]
-    """0: fine; 1: more than `max_steps` in one interval; 2: the solver gave up. (In a `Solution`, 3:
-    positions are not finite, or bonds are off their lengths by more than 1 %; 5: prescribed places,
-    directions or lengths are off their laws by as much, as where a law jumps.)"""
+    """An `Outcome`."""
     memory: Any
     """Of the solver and its controller."""
 
@@ -66,20 +66,27 @@ def _block(steps: int) -> int:
 
 
 class FixedSteps(eqx.Module):
-    """`substeps` equal steps from each save time to the next.
+    """Equal steps from each save time to the next.
 
-    **Arguments**: `solver`, a `diffrax` solver; `substeps`; `projected`: restore the bond lengths
-    after each step.
+    **Argument**: `solver`, whose `substeps` are given.
     """
 
-    solver: diffrax.AbstractSolver
-    substeps: int = eqx.field(static=True)
-    projected: bool = eqx.field(static=True, default=False)
+    solver: AbstractSolver
+
+    @property
+    def substeps(self) -> int:
+        """Steps between two save times."""
+        return self.solver.substeps or 1
+
+    @property
+    def projected(self) -> bool:
+        """Whether bond lengths are restored after each step."""
+        return bool(self.solver.projected)
 
     def init(self, scene: Scene, state: State, t0: Time, t1: Time) -> Carry:
         """Carry at the first save time t0; t1 is the next."""
         end = t0 + (t1 - t0) / self.substeps
-        memory = self.solver.init(_TERM, t0, end, state, scene)
+        memory = self.solver.scheme.init(_TERM, t0, end, state, scene)
         return Carry(state, jnp.zeros((), int), jnp.zeros((), int), memory)
 
     def step(self, scene: Scene, carry: Carry, t0: Time, t1: Time, index: Any) -> Carry:
@@ -87,12 +94,12 @@ class FixedSteps(eqx.Module):
         h = (t1 - t0) / self.substeps
         start, end = t0 + index * h, t0 + (index + 1) * h
         jump = jnp.zeros((), bool)
-        y, _, _, memory, result = self.solver.step(
+        y, _, _, memory, result = self.solver.scheme.step(
             _TERM, start, end, carry.state, scene, carry.memory, jump
         )
         y = project(scene, y) if self.projected else tidied(scene, y)
         failed = result != diffrax.RESULTS.successful
-        return Carry(y, carry.steps + 1, jnp.where(failed, 2, carry.code), memory)
+        return Carry(y, carry.steps + 1, jnp.where(failed, Outcome.GAVE_UP, carry.code), memory)
 
     def interval(self, scene: Scene, carry: Carry, t0: Time, t1: Time, intervals: int = 1) -> Carry:
         """Carry at t1 from that at t0, one of so many intervals."""
@@ -139,20 +146,33 @@ class _Adaptive(eqx.Module):
 class AdaptiveSteps(eqx.Module):
     """Steps chosen by a `diffrax` controller; save times are interpolated, not stepped on.
 
-    **Arguments**: `solver`; `controller`, as `diffrax.PIDController(rtol, atol)`; `max_steps` between
-    two save times; `projected`: restore the bond lengths after each accepted step.
+    **Arguments**: `solver`; `controller`, which its tolerance means in a scene, or its own.
     """
 
-    solver: diffrax.AbstractSolver
+    solver: AbstractSolver
     controller: diffrax.AbstractStepSizeController
-    max_steps: int = eqx.field(static=True, default=100_000)
-    projected: bool = eqx.field(static=True, default=False)
+
+    @property
+    def max_steps(self) -> int:
+        """The most steps between two save times."""
+        return self.solver.max_steps
+
+    @property
+    def projected(self) -> bool:
+        """Whether bond lengths are restored after each step that is kept."""
+        return bool(self.solver.projected)
+
+    @property
+    def _scheme(self) -> tuple[Any, Any]:
+        """The scheme, and the order of its error."""
+        scheme: Any = self.solver.scheme
+        return scheme, scheme.error_order(_TERM)
 
     def init(self, scene: Scene, state: State, t0: Time, t1: Time) -> Carry:
         """Carry at the first save time t0; t1 is the next."""
         if self.projected:
             state = project(scene, state)
-        solver, order = self.solver, self.solver.error_order(_TERM)
+        solver, order = self._scheme
         first = _first_step(scene, state, t0, t1)
         end, controller = self.controller.init(
             _TERM, t0, t1, state, first, scene, solver.func, order
@@ -171,7 +191,7 @@ class AdaptiveSteps(eqx.Module):
         self, scene: Scene, code: Array, a: _Adaptive, gap: Array
     ) -> tuple[Array, _Adaptive]:
         """One step, kept or not, where save times are `gap` apart."""
-        t0 = a.previous
+        (scheme, order), t0 = self._scheme, a.previous
         watched = watch(scene, t0, a.state)
         t1, beyond, shortened = a.next, None, None
         if not watched.idle:
@@ -179,11 +199,8 @@ class AdaptiveSteps(eqx.Module):
             last, beyond = watched.end(*lax.stop_gradient((t0, a.next, gap)))
             shortened = last < a.next
             t1 = jnp.where(shortened, last, a.next)
-        y, error, dense, memory, result = _step(
-            self.solver, t0, t1, a.state, scene, a.solver, a.jump
-        )
-        order: Any = self.solver.error_order(_TERM)
-        path = self.solver.interpolation_cls(t0=t0, t1=t1, **dense).evaluate
+        y, error, dense, memory, result = _step(scheme, t0, t1, a.state, scene, a.solver, a.jump)
+        path = scheme.interpolation_cls(t0=t0, t1=t1, **dense).evaluate
         unseen = watched.unseen(t0, t1, path)
         # A step that fails or leaves the finite numbers is tried again with a smaller one.
         bad = (result != diffrax.RESULTS.successful) | ~jnp.all(jnp.isfinite(y.position))
@@ -216,8 +233,8 @@ class AdaptiveSteps(eqx.Module):
         dense = pick((t0, t1, dense), a.dense)
         # The step has shrunk until it no longer moves the time: nothing helps.
         stuck = (end <= start) | (verdict != diffrax.RESULTS.successful)
-        if (hopeless := getattr(self.solver, "hopeless", None)) is not None:
-            stuck = stuck | (result == hopeless)
+        if self.solver.hopeless is not None:
+            stuck = stuck | (result == self.solver.hopeless)
         after = _Adaptive(
             jnp.where(keep, start, t0),
             end,
@@ -227,7 +244,7 @@ class AdaptiveSteps(eqx.Module):
             jnp.asarray(jump),
             dense,
         )
-        return jnp.where(stuck, 2, code), after
+        return jnp.where(stuck, Outcome.GAVE_UP, code), after
 
     def interval(self, scene: Scene, carry: Carry, t0: Time, t1: Time, intervals: int = 1) -> Carry:
         """Carry at t1 from that at t0, one of so many intervals."""
@@ -238,9 +255,9 @@ class AdaptiveSteps(eqx.Module):
         inside = jnp.where(
             end > start, end, start + 1
         )  # before the first step there is no interval
-        y = self.solver.interpolation_cls(t0=start, t1=inside, **info).evaluate(t1)
+        y = self._scheme[0].interpolation_cls(t0=start, t1=inside, **info).evaluate(t1)
         y = project(scene, y) if self.projected else tidied(scene, y)
-        y = jax.tree.map(lambda y: jnp.where(code == 0, y, jnp.nan), y)
+        y = jax.tree.map(lambda y: jnp.where(code == Outcome.FINE, y, jnp.nan), y)
         return Carry(y, carry.steps + count, code, a)
 
 
@@ -278,7 +295,7 @@ _Fixed = tuple[AdaptiveSteps, Scene, Array, Array]
 
 def _unfinished(turn: _Turn, fixed: _Fixed) -> Array:
     _, code, a = turn
-    return (a.previous < fixed[3]) & (code == 0)
+    return (a.previous < fixed[3]) & (code == Outcome.FINE)
 
 
 @with_all_digits
@@ -287,7 +304,7 @@ def _attempted(turn: _Turn, fixed: _Fixed) -> _Turn:
     stepper, scene, t0, t1 = fixed
     code, a = stepper.attempt(scene, code, a, t1 - t0)
     many = (count + 1 >= stepper.max_steps) & (a.previous < t1)
-    return count + 1, jnp.where(many, 1, code), a
+    return count + 1, jnp.where(many, Outcome.TOO_MANY_STEPS, code), a
 
 
 def substeps_for(scene: Scene, ts: Any, step: float | None = None) -> int:
