@@ -9,12 +9,12 @@ from importlib import metadata as _metadata
 
 from . import actuation as actuation
 from . import constraint as constraint
+from . import dimensionless as dimensionless
 from . import dynamics as dynamics
 from . import flow as flow
 from . import force as force
 from . import geometry as geometry
 from . import mobility as mobility
-from . import numbers as numbers
 from . import objectives as objectives
 from . import observables as observables
 from . import pairs as pairs

@@ -50,7 +50,7 @@ def bond_error(scene: Scene, state: State) -> tuple[float, int]:
     worst, at = 0.0, 0
     for constraint in scene.constraints:
         if isinstance(constraint, AbstractChainConstraint) and scene.chain.beads > 1:
-            drift = np.abs(np.asarray(constraint.drift(state, scene.chain)))
+            drift = np.abs(np.asarray(constraint.bond_errors(state, scene.chain)))
             if not drift.max() <= worst:
                 worst, at = float(drift.max()), int(np.argmax(drift))
     return worst, at

@@ -209,8 +209,8 @@ def coordinates(scene: Scene, state: State) -> AbstractCoordinates:
     """
     anchors: list[int | None] = [None] * len(scene.chain.fibres)
     for constraint in scene.constraints:
-        if constraint.held is not None:
-            bead = constraint.held % scene.chain.beads
+        if constraint.anchor is not None:
+            bead = constraint.anchor % scene.chain.beads
             fibre = scene.chain.fibre_of_bead[bead]
             anchors[fibre] = bead if anchors[fibre] is None else anchors[fibre]
     chained = [c for c in scene.constraints if isinstance(c, AbstractChainConstraint)]

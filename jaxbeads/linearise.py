@@ -41,7 +41,7 @@ class Linearisation(NamedTuple):
 
     rate: Float[Array, " numbers"]
     """f."""
-    drift: Float[Array, " numbers"]
+    time_derivative: Float[Array, " numbers"]
     """df/dt."""
     jacobian: Float[Array, "numbers numbers"]
     """df/dx."""
@@ -112,7 +112,7 @@ def linearise(t: Time, coordinates: AbstractCoordinates, scene: Scene) -> Linear
         own = scene.own_rate(t, state)
         return coordinates.rate(x, state, moving(state, motion, scene.chain, own))
 
-    later = _drift(t, state, scene, operator, system, moved)
+    later = _time_derivative(t, state, scene, operator, system, moved)
     drift = jnp.zeros_like(x)
     if later is not None or state.own is not None:
         later = jax.tree.map(jnp.zeros_like, moved) if later is None else later
@@ -149,7 +149,7 @@ def _jacobian(
     return columns.T
 
 
-def _drift(
+def _time_derivative(
     t: Array,
     state: State,
     scene: Scene,

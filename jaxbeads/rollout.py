@@ -35,8 +35,7 @@ _LEAST_STEP = 100
 
 def default_solver(scene: Scene) -> AbstractSolver:
     """`Rosenbrock` if a force of the scene is stiff and its mobility is dense, otherwise `Tsit5`."""
-    dense = scene.dense
-    if dense and any(force.stiff for force in scene.forces):
+    if scene.dense and any(force.stiff for force in scene.forces):
         return Rosenbrock()
     return Diffrax(diffrax.Tsit5())
 
@@ -226,7 +225,7 @@ def bond_errors(scene: Scene, states: State) -> Float[Array, " times"]:
         error = jnp.zeros((), state.position.dtype)
         for constraint in scene.constraints:
             if isinstance(constraint, AbstractChainConstraint):
-                drift = constraint.drift(state, scene.chain)
+                drift = constraint.bond_errors(state, scene.chain)
                 error = jnp.maximum(error, jnp.max(jnp.abs(drift), initial=0.0))
         return error
 

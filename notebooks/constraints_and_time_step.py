@@ -43,8 +43,8 @@ from jax.flatten_util import ravel_pytree
 
 import jaxbeads as jb
 from jaxbeads import dynamics
+from jaxbeads.dimensionless import largest_joint_curvature, rigidity_from_bending_ratio
 from jaxbeads.flow import Shear
-from jaxbeads.numbers import largest_joint_curvature, rigidity_from_bending_ratio
 from jaxbeads.scenes import GEARS, JointModel
 
 plt.rcParams["figure.dpi"] = 110

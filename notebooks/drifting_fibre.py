@@ -48,8 +48,8 @@ from jax import lax
 import jaxbeads as jb
 from jaxbeads.actuation import FourierCurvature
 from jaxbeads.constraint import EqualSpins, Gears
+from jaxbeads.dimensionless import rigidity_from_elasto_gravitational_number
 from jaxbeads.force import Bending, Weight
-from jaxbeads.numbers import rigidity_from_elasto_gravitational_number
 from jaxbeads.observables import rigid_resistance
 
 SIZE = 2.0  # root mean square of kappa_0 L

@@ -47,9 +47,9 @@ from matplotlib.collections import EllipseCollection
 
 import jaxbeads as jb
 from jaxbeads import scenes
+from jaxbeads.dimensionless import cox_aspect_ratio, jeffery_period, larson_aspect_ratio
 from jaxbeads.dynamics import motion
 from jaxbeads.mobility import RPY
-from jaxbeads.numbers import cox_aspect_ratio, jeffery_period, larson_aspect_ratio
 from jaxbeads.observables import orbit_period, orientation
 
 plt.rcParams["figure.dpi"] = 110

@@ -40,7 +40,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import jaxbeads as jb
-from jaxbeads import numbers, objectives, scenes
+from jaxbeads import dimensionless, objectives, scenes
 from jaxbeads.force import Bending
 from jaxbeads.observables import rigid_resistance
 
@@ -50,7 +50,7 @@ nematode = scenes.nematode(BEADS)
 chain, (bending,) = nematode.scene.chain, nematode.scene.forces
 length = float(chain.length[0])
 friction = float(rigid_resistance(nematode.state.position, chain)[1, 1])
-own = float(numbers.sperm_number(length, 2 * np.pi, friction, bending.rigidity))
+own = float(dimensionless.sperm_number(length, 2 * np.pi, friction, bending.rigidity))
 print(f"literature's worm: Sp = {own:.3f}")
 
 # %% [markdown]
@@ -68,7 +68,7 @@ FIRST, SECOND = np.triu_indices(BEADS, 2)
 
 def build(sperm_number, amplitude):
     """A worm of this sperm number and amplitude A_0 L."""
-    rigidity = numbers.rigidity_from_sperm_number(sperm_number, length, 2 * np.pi, friction)
+    rigidity = dimensionless.rigidity_from_sperm_number(sperm_number, length, 2 * np.pi, friction)
     wave = bending.intrinsic_curvature
     wave = eqx.tree_at(lambda w: w.amplitude, wave, wave.amplitude * amplitude / LITERATURE)
     scene = eqx.tree_at(lambda s: s.forces[0], nematode.scene, Bending(rigidity, wave))

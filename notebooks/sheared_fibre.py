@@ -38,9 +38,9 @@ import numpy as np
 import jaxbeads as jb
 from jaxbeads import scenes
 from jaxbeads.constraint import Gears
+from jaxbeads.dimensionless import bending_ratio
 from jaxbeads.flow import Extension
 from jaxbeads.force import Bending
-from jaxbeads.numbers import bending_ratio
 from jaxbeads.observables import curvature, minimal_radius_of_curvature
 from jaxbeads.scenes.case import lateral_modes
 

@@ -42,7 +42,7 @@ from scipy.optimize import minimize_scalar
 
 import jaxbeads as jb
 from jaxbeads import scenes
-from jaxbeads.numbers import rigidity_from_sperm_number
+from jaxbeads.dimensionless import rigidity_from_sperm_number
 from jaxbeads.observables import rigid_resistance
 
 jax.config.update("jax_enable_x64", True)

@@ -10,7 +10,17 @@ import pytest
 from cases import CONSTRAINTS, FLOWS, FORCES, MOBILITIES, bent, jointed, name, scene, spatial
 from dense import dense_motion, flat
 
-from jaxbeads import Chain, Load, Scene, Setting, State, dynamics, from_tangents, straight
+from jaxbeads import (
+    Chain,
+    Configuration,
+    Load,
+    Scene,
+    Setting,
+    State,
+    dynamics,
+    from_tangents,
+    straight,
+)
 from jaxbeads.actuation import TravellingWave, TwoPlanes
 from jaxbeads.constraint import (
     AbstractChainConstraint,
@@ -354,7 +364,7 @@ def test_a_scene_pays_only_for_what_it_models():
     bare = scene(chain, flow=False)
 
     def by_hand(state, radius, gap, viscosity, weight, rigidity, curvature):
-        spheres, t = jb.Configuration(state.position, radius, viscosity), jnp.zeros(())
+        spheres, t = Configuration(state.position, radius, viscosity), jnp.zeros(())
         operator = RPY().operator(spheres).kept()
         held = Scene(Chain(radius, 8, gap), viscosity, constraints=[Gears()])
         weight, bending = Weight(weight), Bending(rigidity, curvature)

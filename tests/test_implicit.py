@@ -125,7 +125,9 @@ def test_linearisation_and_coordinates(example):
     for mine, given in zip(jax.tree.leaves(start), jax.tree.leaves(state), strict=True):
         assert np.abs(mine - given).max() < 1e-14
     if model.constraints:
-        assert np.abs(np.asarray(model.constraints[0].drift(there, model.chain))).max() < 1e-15
+        assert (
+            np.abs(np.asarray(model.constraints[0].bond_errors(there, model.chain))).max() < 1e-15
+        )
 
 
 def test_coordinates_place_a_fibre_by_its_held_bead():
@@ -133,7 +135,7 @@ def test_coordinates_place_a_fibre_by_its_held_bead():
     off = State(state.position * 1.001)
     restored = project(model, off)
     assert np.all(restored.position[0] == off.position[0])
-    assert np.abs(np.asarray(Gears().drift(restored, model.chain))).max() < 1e-15
+    assert np.abs(np.asarray(Gears().bond_errors(restored, model.chain))).max() < 1e-15
     free = Scene(model.chain, 1.0, constraints=[Gears()])
     centre = project(free, off).position.mean(axis=0)
     assert np.abs(centre - off.position.mean(axis=0)).max() < 1e-14

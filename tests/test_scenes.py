@@ -17,8 +17,8 @@ from jaxbeads import (
     Chain,
     Scene,
     State,
+    dimensionless,
     dynamics,
-    numbers,
     objectives,
     observables,
     scenes,
@@ -234,7 +234,7 @@ def test_small_beats_of_free_draining_chains_follow_linear_theory():
         friction = observables.rigid_resistance(
             straight(chain, [1.0, 0.0]).position, chain, 1.0, mobility
         )[1, 1]
-        rigidity = numbers.rigidity_from_sperm_number(3.0, chain.length[0], 1.0, friction)
+        rigidity = dimensionless.rigidity_from_sperm_number(3.0, chain.length[0], 1.0, friction)
         scene = Scene(chain, 1.0, mobility, case.scene.constraints, [Bending(rigidity)])
         run = case._replace(scene=scene).simulate(progress=False)
         tip = scenes.lateral_harmonic(run, np.array([1.0]))[0]
@@ -406,15 +406,15 @@ def test_a_symmetric_fibre_makes_an_s():
 
 
 def test_dimensionless_groups_and_their_inverses():
-    rigidity = numbers.rigidity_from_bending_ratio(0.04, 1.0, 35, 1.0, 1.0)
-    assert abs(numbers.bending_ratio(rigidity, 1.0, 35, 1.0, 1.0) - 0.04) < 1e-15
+    rigidity = dimensionless.rigidity_from_bending_ratio(0.04, 1.0, 35, 1.0, 1.0)
+    assert abs(dimensionless.bending_ratio(rigidity, 1.0, 35, 1.0, 1.0) - 0.04) < 1e-15
     # By hand: r_e = 1.24 * 35 / sqrt(ln 35) = 23.0170; E = BR 2 r_p^4 / (ln 46.034 - 1.5).
     youngs_modulus = 0.04 * 2 * 35**4 / (np.log(2 * 1.24 * 35 / np.sqrt(np.log(35))) - 1.5)
     assert abs(rigidity / (np.pi / 4 * youngs_modulus) - 1) < 1e-14
-    rigidity = numbers.rigidity_from_elasto_gravitational_number(1000.0, 34.0, 68.0)
-    assert abs(numbers.elasto_gravitational_number(34.0, 68.0, rigidity) - 1000) < 1e-10
-    assert abs(numbers.jeffery_period(10.0, 2.0) - np.pi * 10.1) < 1e-12
-    assert abs(numbers.larson_aspect_ratio(10) - 7.0) < 1e-15
+    rigidity = dimensionless.rigidity_from_elasto_gravitational_number(1000.0, 34.0, 68.0)
+    assert abs(dimensionless.elasto_gravitational_number(34.0, 68.0, rigidity) - 1000) < 1e-10
+    assert abs(dimensionless.jeffery_period(10.0, 2.0) - np.pi * 10.1) < 1e-12
+    assert abs(dimensionless.larson_aspect_ratio(10) - 7.0) < 1e-15
 
 
 def test_observables_of_known_shapes():

@@ -162,7 +162,7 @@ def test_constraints_hold_what_there_is_to_hold(fibres, dim):
         assert dynamics.constraint_residual(0.0, state, scene) < 1e-12
         for term in terms:
             if isinstance(term, (Gears, Inextensible)):
-                assert np.max(np.abs(term.drift(state, chain)), initial=0.0) < 1e-14
+                assert np.max(np.abs(term.bond_errors(state, chain)), initial=0.0) < 1e-14
 
 
 @pytest.mark.parametrize("fibres", [1, (1, 1)], ids=str)

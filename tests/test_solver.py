@@ -93,7 +93,7 @@ def test_projection_keeps_the_order():
     for substeps in (200, 400, 800):
         run = rollout(model, state, TIMES, solver=AB3(substeps=substeps, projected=True))
         errors.append(float(jnp.abs(run.final.position - exact()[-1]).max()))
-        error = np.abs(np.asarray(Gears().drift(run.final, CHAIN))).max()
+        error = np.abs(np.asarray(Gears().bond_errors(run.final, CHAIN))).max()
         assert error < 1e-14
     slopes = np.diff(np.log(errors)) / -np.log(2)
     assert abs(slopes[-1] - 3) < 0.1

@@ -47,7 +47,7 @@ def test_a_settling_fibre():
     assert np.abs(shape - mine).max() < 1e-6 * 24
     moved = dynamics.motion(0.0, found.state, case.scene).velocity
     assert np.abs(moved - found.velocity[None]).max() < 1e-9
-    assert np.abs(Gears().drift(found.state, case.scene.chain)).max() < 1e-12
+    assert np.abs(Gears().bond_errors(found.state, case.scene.chain)).max() < 1e-12
     # A disturbance of the slowest mode dies out at its rate; turning the shape is no symmetry here.
     assert np.all(found.growth_rates.real < 0)
 

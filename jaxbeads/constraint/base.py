@@ -39,7 +39,7 @@ class AbstractConstraint(eqx.Module):
         """What the constraint sets to zero; affine in `motion`, any shape, independent entries."""
 
     @property
-    def held(self) -> int | None:
+    def anchor(self) -> int | None:
         """Index of a bead whose place it prescribes: its fibre is placed by it."""
         return None
 
@@ -75,7 +75,7 @@ class AbstractChainConstraint(AbstractConstraint):
         """S for the raveled `slip`; only its upper triangle is read."""
 
     @abc.abstractmethod
-    def drift(self, state: State, chain: Chain) -> Float[Array, " bonds"]:
+    def bond_errors(self, state: State, chain: Chain) -> Float[Array, " bonds"]:
         """Relative error of each bond length; 0 between fibres."""
 
     def directions(self, state: State, chain: Chain) -> Float[Array, "directions dim"]:
@@ -89,7 +89,7 @@ class AbstractChainConstraint(AbstractConstraint):
         return direction * chain.bond_length[:, None]
 
 
-def bond_drift(state: State, chain: Chain) -> Float[Array, " bonds"]:
+def relative_bond_errors(state: State, chain: Chain) -> Float[Array, " bonds"]:
     """Relative error of the distances of neighbours; 0 between fibres."""
     return (bond_lengths(state.position) / chain.bond_length - 1) * chain.bond_mask
 

@@ -12,12 +12,12 @@ from ..state import Motion, State
 from .base import (
     AbstractChainConstraint,
     Difference,
-    bond_drift,
     empty,
     ends,
     kept,
     place,
     regular,
+    relative_bond_errors,
 )
 
 
@@ -93,9 +93,9 @@ class Gears(AbstractChainConstraint):
                 s = place(s, block, i * bonds, j * bonds)
         return s
 
-    def drift(self, state: State, chain: Chain) -> Float[Array, " bonds"]:
+    def bond_errors(self, state: State, chain: Chain) -> Float[Array, " bonds"]:
         """Distance of neighbours over its value at rest, minus 1."""
-        return bond_drift(state, chain)
+        return relative_bond_errors(state, chain)
 
 
 def _weighted(difference: Difference, row: Array | None, column: Array | None) -> Difference:

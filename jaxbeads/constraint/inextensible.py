@@ -9,7 +9,7 @@ from ..chain import Chain
 from ..geometry import tangents
 from ..pairs import PairTensor
 from ..state import Motion, State
-from .base import AbstractChainConstraint, bond_drift, ends, regular
+from .base import AbstractChainConstraint, ends, regular, relative_bond_errors
 
 
 class Inextensible(AbstractChainConstraint):
@@ -42,6 +42,6 @@ class Inextensible(AbstractChainConstraint):
                 s = s + difference(tensor.tt[i][j]) * (e[i][:, None] * e[j][None, :])
         return regular(s, chain.bond_mask, tensor.tt[0][0][0, 0])
 
-    def drift(self, state: State, chain: Chain) -> Float[Array, " bonds"]:
+    def bond_errors(self, state: State, chain: Chain) -> Float[Array, " bonds"]:
         """Distance of neighbours over its value at rest, minus 1."""
-        return bond_drift(state, chain)
+        return relative_bond_errors(state, chain)

@@ -67,7 +67,7 @@ class Joint(AbstractChainConstraint):
                 s = place(s, block, i * bonds, j * bonds)
         return s
 
-    def drift(self, state: State, chain: Chain) -> Float[Array, " bonds"]:
+    def bond_errors(self, state: State, chain: Chain) -> Float[Array, " bonds"]:
         """Distance of the two beads' joints over the bond length, or the error of their directors'
         lengths if that is larger: time stepping keeps eq. (2), which is linear, even where it fails."""
         if state.director is None:

@@ -61,7 +61,7 @@ class PrescribedPosition(AbstractConstraint):
         whole("bead", self.bead, -(10**9))
 
     @property
-    def held(self) -> int:
+    def anchor(self) -> int:
         """The bead."""
         return self.bead
 

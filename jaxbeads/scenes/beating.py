@@ -9,9 +9,9 @@ from .._checks import positive, whole
 from ..actuation import HelicalBeat, PlanarBeat
 from ..chain import Chain, straight
 from ..constraint import Gears, PrescribedDirection, PrescribedPosition, PrescribedSpin
+from ..dimensionless import rigidity_from_sperm_number
 from ..force import Bending
 from ..geometry import norm
-from ..numbers import rigidity_from_sperm_number
 from ..objectives import thrust
 from ..observables import rigid_resistance
 from ..scene import Scene

@@ -3,8 +3,8 @@
 import numpy as np
 
 from .._checks import kind, positive, whole
+from ..dimensionless import cox_aspect_ratio, jeffery_period
 from ..flow import Shear
-from ..numbers import cox_aspect_ratio, jeffery_period
 from ..observables import orbit_period, orientation
 from ..scene import Scene
 from ..solution import Solution

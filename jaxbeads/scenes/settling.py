@@ -6,9 +6,9 @@ from jaxtyping import Array
 
 from .._checks import finite, kind, positive, whole
 from ..chain import straight
+from ..dimensionless import rigidity_from_elasto_gravitational_number
 from ..force import Weight
 from ..instant import applied_load
-from ..numbers import rigidity_from_elasto_gravitational_number
 from ..observables import deflection, friction_coefficient, rigid_resistance, tilt
 from ..scene import Scene
 from ..solution import Solution

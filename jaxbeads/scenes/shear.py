@@ -3,8 +3,8 @@
 import numpy as np
 
 from .._checks import finite, kind, positive, whole
+from ..dimensionless import cox_aspect_ratio, jeffery_period, rigidity_from_bending_ratio
 from ..flow import Shear
-from ..numbers import cox_aspect_ratio, jeffery_period, rigidity_from_bending_ratio
 from ..observables import minimal_radius_of_curvature
 from ..scene import Scene
 from ..solution import Solution

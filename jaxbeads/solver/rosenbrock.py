@@ -214,7 +214,7 @@ def _solved(t0: Array, h: Array, chart: AbstractCoordinates, scene: Scene) -> _S
     scaled = about.jacobian * ((h * _GAMMA / units)[:, None] * units[None, :])
     matrix, order = lu(jnp.eye(len(x0), dtype=x0.dtype) - scaled)
     factor = _Factor(matrix, order, units)
-    drift = h * h * about.drift
+    drift = h * h * about.time_derivative
 
     def stage(us: Array, row: tuple[Array, ...]) -> tuple[Array, Solved]:
         index, a, c, alpha, weight = row
