@@ -240,7 +240,7 @@ def test_a_force_that_bounds_explicit_steps_is_declared_stiff():
         assert kind.stiff == (kind.explicit_step is not AbstractForce.explicit_step), kind
     chain = Chain(1.0, 9)
     for force in FORCES:
-        assert force.stiff == bool(np.isfinite(force.explicit_step(chain, jnp.asarray(1.0))))
+        assert force.stiff == bool(np.isfinite(force.explicit_step(Setting(chain, 1.0))))
 
 
 def test_a_step_that_fails_is_made_smaller():
