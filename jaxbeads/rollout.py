@@ -92,11 +92,12 @@ def _adaptive(scene: Scene, ts: Float[Array, " times"], solver: AbstractSolver) 
     if controller is None:
         tolerance = default_tolerance(ts.dtype) if tolerance is None else tolerance
         least = 100 * float(jnp.finfo(ts.dtype).eps)
-        if known(tolerance) and not least <= tolerance <= 0.1:
+        # By numpy: under `jit` JAX would trace the comparison of known numbers too.
+        if known(tolerance) and not least <= np.asarray(tolerance) <= 0.1:
             must = (
                 f"lie between {least:.1g} (rounding) and 0.1, as a fraction of the fibre's length"
             )
-            fail("tolerance", must, f"it is {tolerance:g}")
+            fail("tolerance", must, f"it is {plain(tolerance)}")
         tolerance = jnp.asarray(tolerance, ts.dtype)
         controller = controller_for(tolerance, scene.chain)
     projected = not solver.keeps_bonds if projected is None else projected

@@ -243,8 +243,6 @@ def test_results_are_copied_whole(runs, way):
         START,
         CHAIN,
         AB3(substeps=3),
-        Rosenbrock(tolerance=1e-5, max_steps=10),
-        Diffrax(diffrax.Tsit5(), projected=False),
         OPTIMUM,
         steady_state(drifting, START),
         periodic_state(swaying, START, 1.0, substeps=20, accuracy=1e-4),
@@ -253,6 +251,19 @@ def test_results_are_copied_whole(runs, way):
         assert type(again) is type(held)
         same_tree(again, held)
     assert way(OPTIMUM).status == OPTIMUM.status
+
+
+SOLVERS = [
+    Rosenbrock(tolerance=1e-5, max_steps=10),
+    Diffrax(diffrax.Tsit5(), projected=False),
+    Diffrax(diffrax.Heun(), substeps=3),
+]
+
+
+@pytest.mark.parametrize("solver", SOLVERS, ids=lambda s: s.name)
+def test_solvers_are_copied_whole(solver):
+    for again in (pickle.loads(pickle.dumps(solver)), copy.copy(solver), copy.deepcopy(solver)):
+        assert eqx.tree_equal(again, solver)
 
 
 OPTIMUM = optimise(lambda x: (x - 3.0) ** 2, 0.0, progress=False)
