@@ -39,6 +39,21 @@ class AbstractPart(abc.ABC):
         """Its value without what time stepping, exact to its order only, has added."""
         return value
 
+    def size(self, value: Any) -> int:
+        """How many numbers a change of it takes."""
+        return ravel_pytree(value)[0].size
+
+    def retract(self, value: Any, numbers: Float[Array, " numbers"]) -> Any:
+        """What is near the value by so much: their sum, and the value itself at 0."""
+        flat, whole = ravel_pytree(value)
+        return whole(flat + numbers)
+
+    def numbers_rate(
+        self, value: Any, numbers: Float[Array, " numbers"], rate: Any
+    ) -> Float[Array, " numbers"]:
+        """Rate of the numbers of `retract` where what they lead to changes at a rate."""
+        return ravel_pytree(rate)[0]
+
     def off(self, error: Any, arm: Float[Array, ""]) -> Float[Array, ""]:
         """How far an error of it puts the end of an arm off [length]."""
         return arm * jnp.max(norm(error))
@@ -78,6 +93,21 @@ class _Own(AbstractPart):
     def rate(self, value: Any, state: State, motion: Motion, chain: Chain) -> Any:
         """None by the motion: `Scene.own_rate` adds theirs."""
         return jax.tree.map(jnp.zeros_like, value)
+
+    def size(self, value: Any) -> int:
+        """How many numbers a change of it takes."""
+        return ravel_pytree(value)[0].size
+
+    def retract(self, value: Any, numbers: Float[Array, " numbers"]) -> Any:
+        """What is near the value by so much: their sum, and the value itself at 0."""
+        flat, whole = ravel_pytree(value)
+        return whole(flat + numbers)
+
+    def numbers_rate(
+        self, value: Any, numbers: Float[Array, " numbers"], rate: Any
+    ) -> Float[Array, " numbers"]:
+        """Rate of the numbers of `retract` where what they lead to changes at a rate."""
+        return ravel_pytree(rate)[0]
 
     def off(self, error: Any, arm: Float[Array, ""]) -> Float[Array, ""]:
         """Numbers of order one."""

@@ -7,7 +7,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from . import carried
@@ -74,19 +73,31 @@ class AbstractCoordinates(eqx.Module):
         """Vectors of the state that turn with the whole and are numbers of their own."""
         return carried.vectors(state, self.besides)
 
-    def _carried(self, state: State) -> Any:
-        return carried.values(state, self.besides)
+    def _split(self, x: Array) -> tuple[Array, Array, list[Array]]:
+        """Points, turns, and the numbers of each carried part."""
+        dim, (points, turns, _) = self.start.position.shape[1], self.sizes
+        parts = jnp.split(x, np.cumsum([points, turns, *self._carried_sizes])[:-1])
+        return parts[0].reshape(-1, dim), parts[1].reshape(-1, dim - 1), parts[2:]
 
-    def _split(self, x: Array) -> tuple[Array, Array, dict[str, Any]]:
-        """Points, turns, and the carried parts at x."""
-        dim = self.start.position.shape[1]
-        points, turn, others = jnp.split(x, np.cumsum(self.sizes)[:-1])
-        numbers, whole = ravel_pytree(self._carried(self.start))
-        return points.reshape(-1, dim), turn.reshape(-1, dim - 1), whole(numbers + others)
+    @property
+    def _carried_sizes(self) -> list[int]:
+        kept = carried.parts(self.start, self.besides)
+        return [part.size(getattr(self.start, part.name)) for part in kept]
 
-    def _joined(self, points: Array, turn: Array, moving: State) -> Array:
-        others = ravel_pytree(self._carried(moving))[0]
-        return jnp.concatenate([points.ravel(), turn.ravel(), others])
+    def _carried(self, numbers: list[Array]) -> dict[str, Any]:
+        """The carried parts at x."""
+        kept = carried.parts(self.start, self.besides)
+        return {
+            part.name: part.retract(getattr(self.start, part.name), x)
+            for part, x in zip(kept, numbers, strict=True)
+        }
+
+    def _joined(self, points: Array, turn: Array, numbers: list[Array], moving: State) -> Array:
+        others = [
+            part.numbers_rate(getattr(self.start, part.name), x, getattr(moving, part.name))
+            for part, x in zip(carried.parts(self.start, self.besides), numbers, strict=True)
+        ]
+        return jnp.concatenate([points.ravel(), turn.ravel(), *others])
 
 
 class BeadCoordinates(AbstractCoordinates):
@@ -98,18 +109,19 @@ class BeadCoordinates(AbstractCoordinates):
     @property
     def sizes(self) -> tuple[int, int, int]:
         """All positions, no turns."""
-        return self.start.position.size, 0, ravel_pytree(self._carried(self.start))[0].size
+        return self.start.position.size, 0, sum(self._carried_sizes)
 
     def state(self, x: Float[Array, " numbers"]) -> State:
         """The state at x."""
         points, _, others = self._split(x)
-        return carried.with_values(self.start.position + points, others)
+        return carried.with_values(self.start.position + points, self._carried(others))
 
     def rate(
         self, x: Float[Array, " numbers"], state: State, moving: State
     ) -> Float[Array, " numbers"]:
         """The rate itself."""
-        return self._joined(moving.position, jnp.zeros(0, x.dtype), moving)
+        _, turn, others = self._split(x)
+        return self._joined(moving.position, turn, others, moving)
 
     def points(self, position: Float[Array, "beads dim"]) -> Float[Array, "points dim"]:
         """All of them."""
@@ -144,12 +156,12 @@ class ChainCoordinates(AbstractCoordinates):
     def sizes(self) -> tuple[int, int, int]:
         """A point of each fibre, the turns of all directions."""
         rows, dim = self.direction.shape
-        others = ravel_pytree(self._carried(self.start))[0].size
-        return len(self.chain.fibres) * dim, rows * (dim - 1), others
+        return len(self.chain.fibres) * dim, rows * (dim - 1), sum(self._carried_sizes)
 
     def state(self, x: Float[Array, " numbers"]) -> State:
         """The state at x."""
-        points, turn, others = self._split(x)
+        points, turn, numbers = self._split(x)
+        others = self._carried(numbers)
         quarter = (turn * turn).sum(axis=1, keepdims=True) / 4
         sideways = jnp.einsum("rn,rnd->rd", turn, normals(self.direction))
         direction = ((1 - quarter) * self.direction + sideways) / (1 + quarter)
@@ -165,12 +177,12 @@ class ChainCoordinates(AbstractCoordinates):
         self, x: Float[Array, " numbers"], state: State, moving: State
     ) -> Float[Array, " numbers"]:
         """That of the stereographic map."""
-        turn = self._split(x)[1]
+        _, turn, others = self._split(x)
         turning = jax.jvp(self.directions, (state,), (moving,))[1]
         quarter = (turn * turn).sum(axis=1, keepdims=True) / 4
         along = (turning * self.direction).sum(axis=1, keepdims=True)
         turn = (1 + quarter) * (self.sideways(turning) - turn * along / 2)
-        return self._joined(self._weights @ moving.position, turn, moving)
+        return self._joined(self._weights @ moving.position, turn, others, moving)
 
     def points(self, position: Float[Array, "beads dim"]) -> Float[Array, "points dim"]:
         """One of each fibre."""

@@ -26,7 +26,6 @@ from .mobility import Product
 from .pairs import PairTensor
 from .programs import reached
 from .saddle import (
-    Evaluation,
     SaddlePoint,
     Time,
     constraint_map,
@@ -37,16 +36,38 @@ from .state import Load, Motion, State, add_loads, add_motions, spins, zero_moti
 
 
 class Linearisation(NamedTuple):
-    """The rate dx/dt = f(t, x) of coordinates about x = 0 at one instant."""
+    """The rate dx/dt = f(t, x) of coordinates about x = 0 at one instant, with its exact derivatives."""
 
+    t: Float[Array, ""]
+    coordinates: AbstractCoordinates
+    scene: Scene
     rate: Float[Array, " numbers"]
     """f."""
     time_derivative: Float[Array, " numbers"]
     """df/dt."""
-    jacobian: Float[Array, "numbers numbers"]
-    """df/dx."""
     known: Solved
     """The instant itself."""
+    operator: Product
+    """Its mobility."""
+
+    def product(self, shift: Float[Array, " numbers"]) -> Float[Array, " numbers"]:
+        """df/dx times a change of x, in scenes of any size: as much work as one instant whose
+        multipliers are solved for with what there is."""
+        along = jnp.zeros_like(self.t), shift
+        return coordinate_derivative(self.t, self.coordinates, self.scene, self.known, along)
+
+    def jacobian(self) -> Float[Array, "numbers numbers"]:
+        """df/dx as a matrix.
+
+        With multipliers and motion held, all columns share the factor of S that the rate needs anyway;
+        the derivative of M by the positions is found for pairs (`AbstractMobility.gradient`): O(N^2)
+        operations for each set of columns, and O(N^3) in matrix products only. **Raises** `ValueError`
+        where the mobility is not dense.
+        """
+        if not self.scene.dense:
+            must = "have a dense mobility for implicit solvers and steady states"
+            fail("scene", must, "it has none: take `RPY(dense=True)`, or an explicit solver")
+        return _jacobian(self.t, self.coordinates, self.scene, self.known, self.operator)
 
 
 def coordinate_rate(
@@ -87,50 +108,47 @@ def linearise(t: Time, coordinates: AbstractCoordinates, scene: Scene) -> Linear
 
     The saddle-point system is differentiated, not its solution: with multipliers and motion held,
 
-        J dQdot = -(dJ Qdot + dB),   dQdot = d[M (F + J^T lambda) + V_inf + C:E] + M J^T dlambda,
-
-    so all columns share the factor of S that the rate needs anyway. The derivative of M by the positions
-    is found for pairs (`AbstractMobility.gradient`): O(N^2) operations for each set of columns, and
-    O(N^3) in matrix products only.
+        J dQdot = -(dJ Qdot + dB),   dQdot = d[M (F + J^T lambda) + V_inf + C:E] + M J^T dlambda.
 
     **Arguments**: time; coordinates about the state; scene. **Returns** a `Linearisation`; NaN as for
     `dynamics.evaluate`.
     """
-    t, state = jnp.asarray(t), coordinates.start
-    if not scene.dense:
-        must = "have a dense mobility for implicit solvers and steady states"
-        fail("scene", must, "it has none: take `RPY(dense=True)`, or an explicit solver")
+    t, state, x = jnp.asarray(t), coordinates.start, coordinates.origin
     operator, known = scene.operator(state).kept(), solved(t, state, scene)
-    moved, solver = known.evaluation.motion, known.solver
-    system = None
-    if solver is not None:
-        system = SaddlePoint(operator, constraint_map(t, state, scene), solver)
-
-    x = coordinates.origin
+    moved = known.evaluation.motion
 
     def whole(t: Array, motion: Motion) -> Array:
         own = scene.own_rate(t, state)
         return coordinates.rate(x, state, moving(state, motion, scene.chain, own))
 
+    system = _system(t, state, scene, known, operator)
     later = _time_derivative(t, state, scene, operator, system, moved)
-    drift = jnp.zeros_like(x)
+    slope = jnp.zeros_like(x)
     if later is not None or state.own is not None:
         later = jax.tree.map(jnp.zeros_like, moved) if later is None else later
-        drift = jax.jvp(whole, (t, moved), (jnp.ones_like(t), later))[1]
-    jacobian = _jacobian(t, coordinates, scene, system, operator, known.evaluation)
-    return Linearisation(whole(t, moved), drift, jacobian, known)
+        slope = jax.jvp(whole, (t, moved), (jnp.ones_like(t), later))[1]
+    return Linearisation(t, coordinates, scene, whole(t, moved), slope, known, operator)
+
+
+def _system(
+    t: Array, state: State, scene: Scene, known: Solved, operator: Product
+) -> SaddlePoint | None:
+    """The saddle-point system of an instant that is solved; `None` without constraints."""
+    if known.solver is None:
+        return None
+    return SaddlePoint(operator, constraint_map(t, state, scene), known.solver)
 
 
 def _jacobian(
     t: Array,
     coordinates: AbstractCoordinates,
     scene: Scene,
-    system: SaddlePoint | None,
+    known: Solved,
     operator: Product,
-    found: Evaluation,
 ) -> Float[Array, "numbers numbers"]:
     """df/dx from the solution of one instant."""
-    x, state, held = coordinates.origin, coordinates.start, found.motion
+    x, state, found = coordinates.origin, coordinates.start, known.evaluation
+    held, system = found.motion, _system(t, state, scene, known, operator)
     units = jnp.eye(len(x), dtype=x.dtype)
     shifts = _columns(coordinates.state, x, units)
     multipliers = None if system is None else found.multipliers

@@ -202,7 +202,7 @@ def check(
     for term in (*scene.constraints, *scene.forces):
         term.check(chain, dim)
     scene.domain.check(dim)
-    scene.mobility.check(scene.domain, dim)
+    scene.mobility.check(scene, scene.flow, dim)
     _check_inside(scene, position)
     jointed = any(isinstance(c, Joint) for c in scene.constraints)
     for force in scene.forces:

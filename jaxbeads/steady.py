@@ -315,7 +315,7 @@ def _solve(
 
     def linear(shape: Shape, problem: Problem) -> tuple[Pair, Pair]:
         about = linearise(problem.ts, shape.chart, problem.scene)
-        columns = (about.jacobian * shape.scale[None, :])[:, shape.fixed :]
+        columns = (about.jacobian() * shape.scale[None, :])[:, shape.fixed :]
         dropped = jax.vmap(shape.drop, 1, 1)(columns)
         return (shape.drop(about.rate), about.rate[:dim]), (dropped, columns[:dim])
 

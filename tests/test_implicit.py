@@ -10,7 +10,7 @@ import pytest
 from cases import FORCES, bent, jointed, scene
 
 import jaxbeads as jb
-from jaxbeads import AB3, Chain, Scene, SimulationError, State, dynamics, rollout, simulate
+from jaxbeads import AB3, Chain, Scene, Setting, SimulationError, State, dynamics, rollout, simulate
 from jaxbeads.actuation import PlanarBeat, TravellingWave
 from jaxbeads.breakdown import explain
 from jaxbeads.constraint import (
@@ -110,12 +110,14 @@ def test_linearisation_and_coordinates(example):
         # Away from the start: dx/dt moves the state as the beads move.
         there = chart.state(displaced)
         moved = jax.jvp(chart.state, (displaced,), (f(t, displaced),))[1]
-        return linearise(t, chart, model), brute, there, moved, dynamics.rate(t, there, model)
+        about = linearise(t, chart, model)
+        mine = about.rate, about.time_derivative, about.jacobian(), about.product(displaced)
+        return mine, brute, there, moved, dynamics.rate(t, there, model)
 
     x = chart.origin
     displaced = 0.3 * jnp.sin(jnp.arange(len(x)) + 0.5)
     found, brute, there, moved, rate = both(t, x, displaced)
-    for mine, reference in zip(found[:3], brute, strict=True):
+    for mine, reference in zip(found, (*brute, brute[2] @ displaced), strict=True):
         assert np.abs(mine - reference).max() <= 1e-12 * max(1.0, np.abs(reference).max())
     assert np.abs(brute[2]).max() > 1e-3
     for mine, reference in zip(jax.tree.leaves(moved), jax.tree.leaves(rate), strict=True):

@@ -21,11 +21,13 @@ from jaxbeads.constraint import (
     clamped,
     hinged,
 )
+from jaxbeads.coordinates import coordinates
 from jaxbeads.force import BendingEnergy, Contact, JointBending, Weight
 from jaxbeads.force.base import repulsion
 from jaxbeads.geometry import smallest_gap
 from jaxbeads.instant import free_motion
 from jaxbeads.iterations import conjugate_gradients
+from jaxbeads.linearise import linearise
 from jaxbeads.mobility import RPY, FreeDraining
 from jaxbeads.pairs import PAIRS, pair_sums
 from jaxbeads.rollout import default_solver
@@ -248,3 +250,17 @@ def test_contact_and_the_smallest_gap_in_blocks():
     many[2999] = many[17] + 0.1
     gap, one, two = smallest_gap(many, np.full(3000, 0.01))
     assert (one, two) == (17, 2999) and abs(gap - (0.1 * 2**0.5 - 0.02)) < 1e-12
+
+
+def test_products_of_the_linearisation_need_no_matrix():
+    dense, free, state = made(next(iter(CASES)))
+
+    @eqx.filter_jit
+    def product(scene, shift):
+        return linearise(0.3, coordinates(scene, state), scene).product(shift)
+
+    shift = jnp.sin(jnp.arange(len(coordinates(free, state).origin)) + 0.5)
+    found, expected = product(free, shift), product(dense, shift)
+    assert np.abs(found - expected).max() < 1e-8 * np.abs(expected).max()
+    with pytest.raises(ValueError, match="must have a dense mobility"):
+        linearise(0.3, coordinates(free, state), free).jacobian()

@@ -23,7 +23,7 @@ ORDER = [
     {"pairs"},
     {"configuration"},
     {"tensors"},
-    {"chain", "flow", "actuation", "numbers"},
+    {"chain", "flow", "actuation", "dimensionless"},
     {"frames", "setting"},
     {"carried"},
     {"mobility", "constraint", "force", "coincidence"},

@@ -11,7 +11,9 @@ from jaxtyping import Array, Float, Int
 from .._checks import fail
 from ..configuration import Configuration
 from ..domain import SYMMETRIES, AbstractDomain, Unbounded
+from ..flow import AbstractFlow
 from ..pairs import PairTensor
+from ..setting import Setting
 from ..state import Load, Motion, add_motions
 
 MOST_DENSE = 1000
@@ -46,12 +48,12 @@ class AbstractMobility(eqx.Module):
         iterations, for which it needs `tables` of some of the beads."""
         return True
 
-    def check(self, domain: AbstractDomain, dim: int) -> None:
-        """Refuse, in one sentence, a domain in which the mobility does not hold."""
-        if not isinstance(domain, self.domains):
+    def check(self, scene: Setting, flow: AbstractFlow | None, dim: int) -> None:
+        """Refuse, in one sentence, a domain, radii or a flow for which the mobility does not hold."""
+        if not isinstance(scene.domain, self.domains):
             served = " or ".join(d.__name__ for d in self.domains)
             must = f"have the domain {served} for the mobility {type(self).__name__}"
-            fail("scene", must, f"its domain is {type(domain).__name__}")
+            fail("scene", must, f"its domain is {type(scene.domain).__name__}")
 
     @abc.abstractmethod
     def motion(self, configuration: Configuration, load: Load) -> Motion:

@@ -209,12 +209,13 @@ def _stages(t0: Array, h: Array, chart: AbstractCoordinates, scene: Scene) -> _S
 @with_all_digits
 def _solved(t0: Array, h: Array, chart: AbstractCoordinates, scene: Scene) -> _Stages:
     about, x0 = linearise(t0, chart, scene), chart.origin
+    jacobian, slope = about.jacobian(), about.time_derivative
     # In units of their own: the pivots of lengths and angles must not depend on the unit of length.
     units = chart.units
-    scaled = about.jacobian * ((h * _GAMMA / units)[:, None] * units[None, :])
+    scaled = jacobian * ((h * _GAMMA / units)[:, None] * units[None, :])
     matrix, order = lu(jnp.eye(len(x0), dtype=x0.dtype) - scaled)
     factor = _Factor(matrix, order, units)
-    drift = h * h * about.time_derivative
+    drift = h * h * slope
 
     def stage(us: Array, row: tuple[Array, ...]) -> tuple[Array, Solved]:
         index, a, c, alpha, weight = row
@@ -228,7 +229,7 @@ def _solved(t0: Array, h: Array, chart: AbstractCoordinates, scene: Scene) -> _S
     # A loop, so that the rate is compiled once.
     us, later = lax.scan(stage, us, jax.tree.map(lambda x: x[1:], _rows(x0.dtype)))
     instants = jax.tree.map(lambda x, y: jnp.concatenate([x[None], y]), about.known, later)
-    finite = jnp.array([jnp.all(jnp.isfinite(part)) for part in about[:3]])
+    finite = jnp.array([jnp.all(jnp.isfinite(part)) for part in (about.rate, slope, jacobian)])
     return _Stages(us, jnp.all(finite), factor, instants)
 
 

@@ -127,10 +127,11 @@ class FixedSteps(eqx.Module):
 def _first_step(scene: Scene, state: State, t0: Time, t1: Time) -> Array:
     """A step in which no bead moves by more than a thousandth of a fibre's length, or to the next save
     time. The controller takes it from there."""
+    t0, t1, state, scene = lax.stop_gradient((jnp.asarray(t0), t1, state, scene))
     speed = jnp.max(norm(rate(t0, state, scene).position))
     short = 1e-3 * jnp.max(scene.chain.length) / jnp.where(speed > 0, speed, 1.0)
     gap = jnp.asarray(t1 - t0)
-    return lax.stop_gradient(jnp.where(speed > 0, jnp.minimum(short, gap), gap))
+    return jnp.where(speed > 0, jnp.minimum(short, gap), gap)
 
 
 class _Adaptive(eqx.Module):
