@@ -269,9 +269,9 @@ def _failures(
     for row in np.flatnonzero(code != Outcome.FINE):
         who = ", ".join(f"{name} = {v[row]:g}" for name, v in points.items())
         if code[row] == Outcome.NOT_RUN:
-            why = meaning(code[row])
+            why = meaning(int(code[row]))
         elif code[row] == Outcome.NOT_MEASURED:
-            why = f"{meaning(code[row])} (code {code[row]})"
+            why = f"{meaning(int(code[row]))} (code {code[row]})"
         else:
             why = f"broke down (code {code[row]})"
             if len(sentences) < _EXPLAINED:
