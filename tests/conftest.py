@@ -62,3 +62,4 @@ def forget_compiled_programs():
     yield
     eqx.clear_caches()
     jax.clear_caches()
+    gc.collect()
