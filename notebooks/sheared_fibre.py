@@ -29,6 +29,8 @@
 # along the gradient and end before the second tumble. Bead radius, viscosity and shear rate are 1.
 
 # %%
+from functools import cache
+
 import jax
 
 jax.config.update("jax_enable_x64", True)
@@ -67,15 +69,15 @@ def radius(case, run):
 RATIOS = np.array([0.02, 0.03, 0.04, 0.05, 0.07])
 
 
-def short(ratio, rest):
-    """A run of 20 beads; `rest` is kappa_eq L."""
-    case = scenes.shear(20, float(ratio), rest)
+@cache  # some are asked for twice
+def sheared(beads, ratio, rest):
+    """Case and run; `rest` is kappa_eq L."""
+    case = scenes.shear(beads, float(ratio), rest)
     return case, case.simulate(progress=False)
 
 
-straight_case, straight_run = short(0.04, 0.0)
-buckled_case = scenes.shear(35, 0.04, 0.01)
-buckled_run = buckled_case.simulate(progress=False)
+straight_case, straight_run = sheared(20, 0.04, 0.0)
+buckled_case, buckled_run = sheared(35, 0.04, 0.01)
 
 
 def strip(axes, case, run, number=12, span=10.0):
@@ -127,8 +129,7 @@ print(f"  curvature grows {200 / buckled:.0f} times (paper: 770 times)")
 # %%
 series = {}
 for beads in (10, 20, 25, 35):
-    case = scenes.shear(beads, 0.03, 0.1)
-    run = case.simulate(progress=False)
+    case, run = sheared(beads, 0.03, 0.1)
     series[beads] = radius(case, run).min()
     change = 100 * (series[beads] / list(series.values())[max(0, len(series) - 2)] - 1)
     print(f"N = {beads}: 2 R/L = {series[beads]:.4f} ({change:+.1f} %), {int(run.steps)} steps")
@@ -140,7 +141,8 @@ for beads in (10, 20, 25, 35):
 
 # %%
 smallest = {
-    rest: np.array([radius(*short(ratio, rest)).min() for ratio in RATIOS]) for rest in (0.0, 0.1)
+    rest: np.array([radius(*sheared(20, ratio, rest)).min() for ratio in RATIOS])
+    for rest in (0.0, 0.1)
 }
 for k, ratio in enumerate(RATIOS):
     print(

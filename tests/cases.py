@@ -6,8 +6,9 @@ import diffrax
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax.tree_util import Partial
 
-from jaxbeads import AB3, Chain, Scene, State, from_directors, from_tangents
+from jaxbeads import AB3, Chain, Scene, State, dynamics, from_directors, from_tangents
 from jaxbeads.actuation import FourierCurvature, TravellingWave
 from jaxbeads.constraint import (
     EqualSpins,
@@ -132,6 +133,16 @@ def scene(chain: Chain, dim: int = 2, flow=True, **options) -> Scene:
     return Scene(chain, 1.3, flow=Shear(0.3) if flow else None, **options)
 
 
+@eqx.filter_jit
+def _instant(t, state, scene):
+    return dynamics.motion(t, state, scene), dynamics.constraint_residual(t, state, scene)
+
+
+def instant(t, state, scene):
+    """Motion and residual of one instant by one program: what they have in common is compiled once."""
+    return _instant(jnp.asarray(t), state, scene)
+
+
 def spatial(state: State) -> State:
     """A planar state in three dimensions."""
     return State(jnp.pad(state.position, ((0, 0), (0, 1))))
@@ -176,6 +187,11 @@ _GIVEN = {
 }
 
 
+def _scaled(function, value, *rest):
+    given, x = rest[: len(rest) // 2], rest[len(rest) // 2 :]
+    return function(*(y / unit for y, unit in zip(x, given, strict=True))) * value
+
+
 def in_units(thing, units):
     """A scene, a state or a part of one in other units: the numbers of one length, time and force."""
 
@@ -187,9 +203,8 @@ def in_units(thing, units):
             return None
         if not callable(value):
             return value * factor(dimension)
-        return lambda *x: (
-            value(*(y / factor(d) for y, d in zip(x, given, strict=True))) * factor(dimension)
-        )
+        scales = [jnp.asarray(factor(d)) for d in (dimension, *given)]  # one program for all units
+        return Partial(_scaled, value, *scales)
 
     if isinstance(thing, tuple):
         return tuple(in_units(x, units) for x in thing)

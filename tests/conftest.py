@@ -1,5 +1,6 @@
 """float64, shape checks on every function of the package, and no silent broadcasting of ranks."""
 
+import gc
 import importlib
 import os
 import shutil
@@ -13,12 +14,14 @@ import pytest
 from jaxtyping import install_import_hook
 
 # Compiling is most of the work. Workers and notebooks share what one of them has compiled (they inherit
-# the environment), and the compiler does not optimise what runs but once.
+# the environment), but for programs that are compiled as fast as read. The compiler does not optimise
+# what runs but once, and is not told from which lines of Python a program comes.
 _CACHE = "JAX_COMPILATION_CACHE_DIR"
 _OWN = _CACHE not in os.environ
 if _OWN:
     os.environ[_CACHE] = tempfile.mkdtemp(prefix="jaxbeads-tests-")
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
+os.environ.setdefault("JAX_TRACEBACK_IN_LOCATIONS_LIMIT", "0")
 if "XLA_FLAGS" not in os.environ:
     # Without optimisation, fusions compile in a third of the time by the older code generator. Not every
     # jaxlib knows it, and one that does not stops the process.
@@ -27,6 +30,7 @@ if "XLA_FLAGS" not in os.environ:
     trial = subprocess.run(known, env=os.environ | {"XLA_FLAGS": flags}, capture_output=True)
     os.environ["XLA_FLAGS"] = flags if trial.returncode == 0 else flags.split()[0]
 
+gc.set_threshold(100_000, 20, 100)  # programs in the making are many small objects, and no garbage
 jax.config.update("jax_compilation_cache_dir", os.environ[_CACHE])
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
@@ -36,8 +40,14 @@ with install_import_hook("jaxbeads", "beartype.beartype"):
 
 
 def pytest_collection_modifyitems(items):
-    """Cheap tests first: those marked slow go to the end."""
-    items.sort(key=lambda item: item.get_closest_marker("slow") is not None)
+    """Cheap tests first: those marked slow go to the end, notebooks before the others, so that none of
+    the longest is left to one worker at last."""
+
+    def rank(item):
+        slow = item.get_closest_marker("slow") is not None
+        return slow, slow and item.path.stem != "test_notebooks"
+
+    items.sort(key=rank)
 
 
 def pytest_unconfigure():
@@ -52,3 +62,4 @@ def forget_compiled_programs():
     yield
     eqx.clear_caches()
     jax.clear_caches()
+    gc.collect()

@@ -1,5 +1,7 @@
 """Derivatives of steady and periodic states by all that decides on them, in both modes."""
 
+from functools import cache
+
 import diffrax
 import equinox as eqx
 import jax
@@ -39,28 +41,44 @@ def jiggled(state, size, seed=3):
     return jax.tree.map(lambda x: x + size * rng.normal(size=x.shape), state)
 
 
-def check_both_modes(find, point, step=1e-3, tolerance=1e-7):
+@cache
+def programs(find, names):
+    """Forward mode, with the values, and reverse mode: one program each, whatever is given."""
+
+    def outcomes(x, *given):
+        found = find(*given, **{n: x[k] for k, n in enumerate(names)})
+        return jnp.concatenate([leaf.ravel() for leaf in jax.tree.leaves(found)])
+
+    def weighted(x, *given):
+        found = outcomes(x, *given)
+        return weights_of(found) @ found
+
+    def pushed(x, along, *given):
+        return jax.jvp(lambda x: outcomes(x, *given), (x,), (along,))
+
+    return jax.jit(pushed), jax.jit(jax.grad(weighted))
+
+
+def weights_of(found):
+    """Weights that no symmetry makes vanish."""
+    return jnp.cos(jnp.arange(len(found)) + 0.3)
+
+
+def check_both_modes(find, point, *given, step=1e-3, tolerance=1e-7):
     """Reverse against forward, and against differences, by each number of `point`."""
     names = list(point)
     x = jnp.asarray([float(point[n]) for n in names])
     scale = np.where(np.abs(x) > 0, np.abs(x), 1.0)
-
-    def outcomes(x):
-        found = find(**{n: x[k] for k, n in enumerate(names)})
-        return jnp.concatenate([leaf.ravel() for leaf in jax.tree.leaves(found)])
-
-    pushed = jax.jit(lambda x, along: jax.jvp(outcomes, (x,), (along,)))
-    first = pushed(x, 0 * x)[0]
+    pushed, reverse = programs(find, tuple(names))
+    first = pushed(x, 0 * x, *given)[0]
     assert np.all(np.isfinite(first))
-    # Weights that no symmetry makes vanish.
-    weights = jnp.cos(jnp.arange(len(first)) + 0.3)
-    slope = np.asarray(jax.jit(jax.grad(lambda x: weights @ outcomes(x)))(x))
-    columns = np.stack([np.asarray(pushed(x, e)[1]) for e in jnp.eye(len(x))])
+    weights, slope = weights_of(first), np.asarray(reverse(x, *given))
+    columns = np.stack([np.asarray(pushed(x, e, *given)[1]) for e in jnp.eye(len(x))])
     size = (np.abs(columns) @ np.abs(weights)).max()  # of the terms of these sums
     assert np.abs(columns @ weights - slope).max() < 1e-10 * size
 
     def value(x):
-        return pushed(x, 0 * x)[0]
+        return pushed(x, 0 * x, *given)[0]
 
     for k, name in enumerate(names):
         h = step * scale[k] * np.eye(len(x))[k]
@@ -88,17 +106,17 @@ def swim(rigidity, viscosity, frequency, t, start, **options):
 POINT = {"rigidity": 40.0, "viscosity": 1.3, "frequency": 0.7, "t": 0.3}
 
 
+def swim_from(start, angle, x, y, size, **numbers):
+    state = moved(turned(jiggled(start, size), angle), jnp.stack([x, y]))
+    return swim(**numbers, start=state)
+
+
 @pytest.mark.parametrize("far", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_a_swimmer(far):
     # From a shape that is periodic, and from another one: the frequency sets the period as well.
     start = bent(SWIMMER) if far else swim(**POINT, start=bent(SWIMMER))[0]
-
-    def find(angle, x, y, size, **numbers):
-        state = moved(turned(jiggled(start, size), angle), jnp.stack([x, y]))
-        return swim(**numbers, start=state)
-
     point = POINT | {"angle": 0.0, "x": 0.0, "y": 0.0, "size": 0.0}
-    slopes = check_both_modes(find, point)
+    slopes = check_both_modes(swim_from, point, start)
     assert np.abs(slopes["frequency"]).max() > 1e-2 and np.abs(slopes["t"]).max() > 1e-2
     # A turn of the start turns all, a shift of it shifts the state alone.
     _, displacement, _ = swim(**POINT, start=start)
@@ -164,32 +182,31 @@ class Stroke(eqx.Module):
         return 0.5 * self.stiffness * jnp.sum((length - rest) ** 2)
 
 
+def swim_in_space(stiffness, frequency, start):
+    scene = Scene(Chain(1.0, (1, 1, 1, 1)), 1.0, forces=[Potential(Stroke(stiffness, frequency))])
+    options = {"substeps": 8, "solver": diffrax.Heun(), "accuracy": 1e-11}
+    found = periodic_state(scene, start, 1 / frequency, **options)
+    return found.state, found.displacement, found.rotation
+
+
+def swim_in_space_from(start, stiffness, frequency, first, second, third, shift, size):
+    state = jiggled(start, size)
+    for axis, angle in enumerate((first, second, third)):
+        state = turned(state, angle, axis)
+    state = moved(state, shift * np.array([0.3, -0.5, 0.8]))
+    return swim_in_space(stiffness, frequency, state)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("far", [False, True])
 def test_a_swimmer_in_space(far):
-    chain = Chain(1.0, (1, 1, 1, 1))
     corners = State(2.2 * np.array([[0.0, 0, 0], [1.3, 0, 0], [0.2, 1.1, 0.1], [0.4, 0.3, 1.2]]))
-
-    def swim(stiffness, frequency, start):
-        scene = Scene(chain, 1.0, forces=[Potential(Stroke(stiffness, frequency))])
-        options = {"substeps": 8, "solver": diffrax.Heun(), "accuracy": 1e-11}
-        found = periodic_state(scene, start, 1 / frequency, **options)
-        return found.state, found.displacement, found.rotation
-
     numbers = {"stiffness": jnp.asarray(20.0), "frequency": jnp.asarray(0.8)}
-    start = corners if far else swim(**numbers, start=corners)[0]
-
-    def find(stiffness, frequency, first, second, third, shift, size):
-        state = jiggled(start, size)
-        for axis, angle in enumerate((first, second, third)):
-            state = turned(state, angle, axis)
-        state = moved(state, shift * np.array([0.3, -0.5, 0.8]))
-        return swim(stiffness, frequency, state)
-
+    start = corners if far else swim_in_space(**numbers, start=corners)[0]
     zero = dict.fromkeys(("first", "second", "third", "shift", "size"), 0.0)
-    slopes = check_both_modes(find, numbers | zero)
+    slopes = check_both_modes(swim_in_space_from, numbers | zero, start)
     assert np.abs(slopes["frequency"]).max() > 1e-2
-    _, displacement, _ = swim(**numbers, start=start)
+    _, displacement, _ = swim_in_space(**numbers, start=start)
     for axis, name in enumerate(("first", "second", "third")):
         sign = -1.0 if axis == 1 else 1.0  # the plane (x, z) is turned from x to z
         expected = sign * np.cross(np.eye(3)[axis], displacement)

@@ -291,9 +291,9 @@ def test_pairs_of_nematodes(antiphase, ratio):
 
 @pytest.mark.slow
 def test_close_nematodes_do_not_overlap():
-    case = scenes.nematode_pair(15, 0.35)
+    case = scenes.nematode_pair(10, 0.35)
     x = np.asarray(case.simulate(progress=False).states.position)
-    apart = np.linalg.norm(x[:, :15, None] - x[:, None, 15:], axis=3)
+    apart = np.linalg.norm(x[:, :10, None] - x[:, None, 10:], axis=3)
     assert 1.9 < apart.min() < 2.1  # they do touch
 
 
