@@ -22,6 +22,7 @@ from ._checks import fail
 from ._compat import meet, over_devices
 from .loops import equal_parts
 from .outcome import Outcome
+from .places import replace_whole
 
 Points = dict[str, np.ndarray]
 _RECORD = "sweep.json"
@@ -179,7 +180,7 @@ class _Store:
         if self.record is None:
             try:
                 self.folder.mkdir(parents=True, exist_ok=True)
-                self._replace(_RECORD, json.dumps(record).encode())
+                replace_whole(self.folder / _RECORD, json.dumps(record).encode())
             except OSError as error:
                 fail("folder", "be one that can be written", f"{self.folder}: {error.strerror}")
         others = {
@@ -210,12 +211,7 @@ class _Store:
         buffer = io.BytesIO()
         kept = {f"x.{name}": values for name, values in part.kept.items()}
         np.savez(buffer, code=part.code, steps=part.steps, **kept)
-        self._replace(_name(index), buffer.getvalue())
-
-    def _replace(self, name: str, content: bytes) -> None:
-        temporary = self.folder / f"{name}.{os.getpid()}.part"
-        temporary.write_bytes(content)
-        temporary.replace(self.folder / name)
+        replace_whole(self.folder / _name(index), buffer.getvalue())
 
 
 def _name(index: int) -> str:

@@ -3,6 +3,8 @@
 `position` has shape `(..., beads, dim)`; functions act on the last two axes.
 """
 
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -58,6 +60,16 @@ def turned(
     once = jnp.cross(axis, vector)
     opposite = 1 + cosine < 1e-14
     return vector + once + jnp.cross(axis, once) / jnp.where(opposite, 1.0, 1 + cosine)
+
+
+def best_rotation(first: Any, last: Any, numpy: Any = jnp) -> Any:
+    """The rotation R, never a reflection, by which the rows of the first set, times R, lie best on those
+    of the last (Kabsch). **Arguments**: vectors `(..., rows, dim)`, twice; `numpy`: the module of arrays
+    that computes it. **Returns** `(..., dim, dim)`."""
+    u, _, v = numpy.linalg.svd(numpy.swapaxes(first, -1, -2) @ last)
+    sign = numpy.linalg.det(u @ v)[..., None, None]
+    last_column = numpy.arange(u.shape[-1]) == u.shape[-1] - 1
+    return (u * numpy.where(last_column, sign, 1.0)) @ v
 
 
 def bonds(position: Float[Array, "*batch beads dim"]) -> Float[Array, "*batch bonds dim"]:

@@ -1,6 +1,6 @@
 """`optimise`: the values at which a loss is least, by gradients."""
 
-import os
+import io
 import time
 from collections.abc import Callable
 from functools import partial
@@ -17,6 +17,7 @@ from jaxtyping import Array, PyTree
 from ._checks import described, fail, finite, kind, positive, whole
 from ._typing import float_array
 from .optimum import INTERRUPTED, NO_FURTHER, NOT_FINITE, STEPS, VANISHES, ZERO, History, Optimum
+from .places import replace_whole
 from .units import NOISE, Units, bounds_of, free, inside, own, reach, reached, shown, unbound
 
 _ROUND = 20  # steps between two corrections of the multipliers
@@ -348,10 +349,9 @@ def _write(file: str | Path, walk: Any, rows: list[list[Any]]) -> None:
     """Where it stands; a file is whole at any time."""
     parts: dict[str, Any] = {f"leaf{k}": x for k, x in enumerate(jax.tree.leaves(walk))}
     parts |= {f"row{k}": np.stack([row[k] for row in rows]) for k in range(4)}
-    part = Path(f"{file}.part")
-    with part.open("wb") as handle:
-        np.savez(handle, **parts)
-    os.replace(part, file)
+    buffer = io.BytesIO()
+    np.savez(buffer, **parts)
+    replace_whole(Path(file), buffer.getvalue())
 
 
 def _read(file: str | Path, like: Any) -> tuple[Any, list[list[Any]]]:

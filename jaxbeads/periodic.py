@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from ._checks import fail, known, positive, whole
 from ._typing import with_all_digits
+from .geometry import best_rotation
 from .instant import Time
 from .rollout import Solver, rollout, solver_for
 from .scene import Scene, check
@@ -178,9 +179,7 @@ def _rotation(first: _Figure, last: _Figure) -> Array:
         points = points / jnp.where(size > 0, size, 1.0)
         return jnp.concatenate([points, figure.vectors, figure.loose])
 
-    u, _, v = jnp.linalg.svd(rows(first).T @ rows(last))
-    sign = jnp.linalg.det(u @ v)
-    return (u.at[:, -1].multiply(sign)) @ v
+    return best_rotation(rows(first), rows(last))
 
 
 def _turned_by(first: _Figure, last: _Figure) -> Array:

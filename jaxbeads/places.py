@@ -82,6 +82,13 @@ def _claimed(path: Path, name: str | Path) -> h5py.File | None:
     return handle
 
 
+def replace_whole(path: Path, content: bytes) -> None:
+    """Put a file in its place in one piece: an older one is there until then."""
+    part = path.with_name(f"{path.name}.{os.getpid()}.part")
+    part.write_bytes(content)
+    part.replace(path)
+
+
 class Place:
     """Where a file that is being made will be."""
 

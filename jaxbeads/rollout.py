@@ -13,7 +13,6 @@ from jaxtyping import Array, Float
 
 from ._checks import described, fail, increasing, known
 from ._typing import float_array, with_all_digits
-from .constraint import AbstractChainConstraint
 from .dynamics import constraint_residual
 from .loops import linked
 from .outcome import Outcome
@@ -221,16 +220,7 @@ def _trajectory(
 
 def bond_errors(scene: Scene, states: State) -> Float[Array, " times"]:
     """Largest relative bond-length error of the scene's chains at each time."""
-
-    def one(state: State) -> Array:
-        error = jnp.zeros((), state.position.dtype)
-        for constraint in scene.constraints:
-            if isinstance(constraint, AbstractChainConstraint):
-                drift = constraint.bond_errors(state, scene.chain)
-                error = jnp.maximum(error, jnp.max(jnp.abs(drift), initial=0.0))
-        return error
-
-    return jax.vmap(one)(states)
+    return jax.vmap(lambda s: jnp.max(jnp.abs(scene.bond_errors(s)), initial=0.0))(states)
 
 
 def law_errors(

@@ -8,12 +8,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from ._checks import described, fail, finite, kind, known
 from ._typing import float_array
 from .coincidence import overlaid
-from .constraint import AbstractConstraint, Joint
+from .constraint import AbstractChainConstraint, AbstractConstraint, Joint
 from .flow import AbstractFlow
 from .force import AbstractForce, Bending, BendingEnergy, JointBending
 from .frames import framed
@@ -77,6 +77,16 @@ class Scene(Setting):
     def operator(self, state: State) -> Operator:
         """The mobility of the beads where they are."""
         return self.mobility.operator(self.configuration(state, self.rotational))
+
+    def bond_errors(self, state: State) -> Float[Array, " bonds"]:
+        """Relative error of each bond length that a chain constraint keeps; 0 of others."""
+        every = jnp.zeros(self.chain.beads - 1, state.position.dtype)
+        for constraint in self.constraints:
+            if isinstance(constraint, AbstractChainConstraint):
+                errors = constraint.bond_errors(state, self.chain)
+                smaller = jnp.abs(errors) <= jnp.abs(every)  # which what is not a number is not
+                every = jnp.where(smaller, every, errors)
+        return every
 
     def begin(self, state: State) -> State:
         """A state with all that the terms need: normals of its fibres, where a drive acts along them."""

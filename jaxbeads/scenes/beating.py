@@ -40,6 +40,7 @@ def _case(scene: Scene, state: State, amplitude: float) -> Case:
         tolerance=2e-6 * amplitude,  # a tenth of what counts as periodic
         until=until_periodic(tolerance),
         chunk=SAMPLES,
+        scales={"amplitude": amplitude},
     )
 
 
@@ -91,14 +92,9 @@ def lateral_harmonic(solution: Solution, fractions: np.ndarray) -> np.ndarray:
     return 2j * np.mean(y * np.exp(-1j * _FREQUENCY * ts[:-1])[:, None], axis=0)
 
 
-def _base_angle(case: Case) -> float:
-    law = next(c for c in case.scene.constraints if isinstance(c, PrescribedDirection)).law
-    return float(law.amplitude) if isinstance(law, (PlanarBeat, HelicalBeat)) else 1.0
-
-
 def _planar(case: Case, solution: Solution) -> dict[str, Value]:
     scene = case.scene
-    chain, alpha = scene.chain, _base_angle(case)
+    chain, alpha = scene.chain, case.scales["amplitude"]
     length = float(chain.length[0])
     c = lateral_harmonic(solution, np.array([0.25, 0.5, 0.75, 1.0]))
     scale = _normal_friction(chain, float(scene.viscosity)) / length * _FREQUENCY

@@ -2,8 +2,9 @@
 
 import dataclasses
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -14,6 +15,7 @@ from jaxtyping import Array
 
 from ..chain import Chain, straight
 from ..dynamics import motion
+from ..geometry import best_rotation
 from ..rollout import Solver, Tolerance, solver_for
 from ..scene import Scene
 from ..simulate import simulate
@@ -40,6 +42,8 @@ class Case(NamedTuple):
     """Ends the run early, as at a steady state."""
     chunk: int | None = None
     """Save times between two checks."""
+    scales: Mapping[str, float] = MappingProxyType({})
+    """What results are measured by, as rigidities and amplitudes, by name."""
 
     def simulate(self, **options: Any) -> Solution:
         """Run it with `jaxbeads.simulate`; options as there (they replace the case's own)."""
@@ -109,9 +113,7 @@ def shape_changes(solution: Solution) -> float:
     position = np.asarray(solution.states.position)
     shape = position - position.mean(axis=1, keepdims=True)
     now, before = shape[-SAMPLES:], shape[-2 * SAMPLES : -SAMPLES]
-    u, _, v = np.linalg.svd(np.swapaxes(now, 1, 2) @ before)  # Kabsch: the best rotation
-    u[:, :, -1] *= np.linalg.det(u @ v)[:, None]  # and no reflection
-    return float(np.abs(now @ (u @ v) - before).max())
+    return float(np.abs(now @ best_rotation(now, before, np) - before).max())
 
 
 def until_periodic(tolerance: float) -> Callable[[Solution], bool]:

@@ -55,7 +55,7 @@ def follower_force(
     growth = abs(float(np.real(growth_rates(scene)[0])))
     unit = viscosity * length**4 / rigidity
     span = min(3 * np.log(1 / perturbation) / max(growth, 1e-12 / unit), 3.0 * unit)
-    return Case(scene, state, np.linspace(0, span, 401))
+    return Case(scene, state, np.linspace(0, span, 401), scales={"rigidity": rigidity})
 
 
 def growth_rates(scene: Scene) -> np.ndarray:
@@ -71,8 +71,7 @@ def _tip(case: Case, solution: Solution) -> np.ndarray:
 
 def _observables(case: Case, solution: Solution) -> dict[str, Value]:
     scene = case.scene
-    bending = next(f for f in scene.forces if isinstance(f, Bending))
-    unit = float(scene.viscosity * scene.chain.length[0] ** 4 / bending.rigidity)
+    unit = float(scene.viscosity * scene.chain.length[0] ** 4 / case.scales["rigidity"])
     late = _tip(case, solution)[len(solution.ts) // 2 :]
     turns = np.sum(late[1:] * late[:-1] < 0)
     return {

@@ -47,7 +47,8 @@ def relaxation(
     rise = amplitude * float(chain.length[0]) * np.diff(shape) / np.asarray(chain.bond_length)
     state = State(from_tangents(chain, np.stack([np.sqrt(1 - rise**2), rise], axis=1)))
     span = min(1 / rates[mode - 1], 20_000 * float(explicit_step(scene)))
-    return Case(scene, state, np.linspace(0, span, 41), tolerance=1e-6 * amplitude)
+    scales = {"rigidity": rigidity}
+    return Case(scene, state, np.linspace(0, span, 41), tolerance=1e-6 * amplitude, scales=scales)
 
 
 def _amplitude(case: Case, solution: Solution) -> np.ndarray:
@@ -57,9 +58,8 @@ def _amplitude(case: Case, solution: Solution) -> np.ndarray:
 
 def _observables(case: Case, solution: Solution) -> dict[str, Value]:
     scene = case.scene
-    bending = next(f for f in scene.forces if isinstance(f, Bending))
     rate = -np.polyfit(np.asarray(solution.ts), np.log(_amplitude(case, solution)), 1)[0]
-    scale = scene.viscosity * scene.chain.length[0] ** 4 / bending.rigidity
+    scale = scene.viscosity * scene.chain.length[0] ** 4 / case.scales["rigidity"]
     return {"rate": float(rate * scale)}
 
 

@@ -18,7 +18,7 @@ from .._typing import with_all_digits
 from ..coordinates import project, tidied
 from ..dynamics import rate
 from ..geometry import norm
-from ..loops import checkpointed, loop
+from ..loops import checkpointed, equal_parts, loop
 from ..outcome import Outcome
 from ..scene import Scene
 from ..state import State
@@ -58,11 +58,6 @@ class Carry(eqx.Module):
 
 MOST_KEPT = 2**25
 """Bytes of factors that the backward pass keeps at most, for each evaluation in a step."""
-
-
-def _block(steps: int) -> int:
-    """The largest divisor up to the root of a number of steps."""
-    return next(n for n in range(int(np.sqrt(steps)), 0, -1) if steps % n == 0)
 
 
 class FixedSteps(eqx.Module):
@@ -120,7 +115,9 @@ class FixedSteps(eqx.Module):
         def block(carry: Carry, indices: Array) -> tuple[Carry, None]:
             return lax.scan(body, carry, indices)
 
-        indices = jnp.arange(self.substeps).reshape(-1, _block(self.substeps))
+        indices = jnp.arange(self.substeps).reshape(
+            -1, equal_parts(self.substeps, int(self.substeps**0.5))
+        )
         return lax.scan(block, carry, indices)[0]
 
 
