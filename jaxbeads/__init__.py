@@ -28,6 +28,8 @@ from .chain import from_directors as from_directors
 from .chain import from_tangents as from_tangents
 from .chain import straight as straight
 from .configuration import Configuration as Configuration
+from .domain import FreeSurface as FreeSurface
+from .domain import NoSlipWall as NoSlipWall
 from .domain import Unbounded as Unbounded
 from .files import load as load
 from .optimise import optimise as optimise

@@ -110,6 +110,11 @@ def explain(
         if not finite.all():
             bead = int(np.argmin(finite)) if bead is None else bead
             what = f"bead {int(np.argmin(finite))} has no finite position{in_single(bad.position.dtype)}"
+        elif (outside := scene.outside(bad)) is not None and np.any(np.asarray(outside)):
+            bead = int(np.argmax(np.asarray(outside)))
+            what = (
+                f"bead {bead} is beyond the {type(scene.domain).__name__} (`Contact` keeps it off)"
+            )
         elif error > 0:
             bead = bond
             what = (
@@ -184,7 +189,9 @@ def locate(
     for index in range(stepper.substeps):
         new = _step(stepper, scene, carry, start, end, jnp.asarray(index))
         error, _ = bond_error(scene, new.state)
-        fine = np.all(np.isfinite(new.state.position)) and error <= bond_tolerance
+        outside = scene.outside(new.state)
+        inside = outside is None or not np.any(np.asarray(outside))
+        fine = inside and np.all(np.isfinite(new.state.position)) and error <= bond_tolerance
         if not fine:
             advice = step_advice(scene, h, stepper)
             good, at = carry.state, t0 + index * h

@@ -1,16 +1,21 @@
 """`AbstractDomain`: the space that fluid and beads are in.
 
 Pair sums ask it what separates two points, a start whether it lies inside, and a mobility says in which
-domains it holds. `Unbounded` is all there is yet; a wall or a box is a class in this file, and its name
-in the `domains` of the mobilities that serve it.
+domains it holds. `Unbounded`, `NoSlipWall`, `FreeSurface`; a box would be a class in this file, and its
+name in the `domains` of the mobilities that serve it.
 """
 
 import abc
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
+
+from ._checks import fail, finite, known, non_zero, shape
+from ._typing import float_array
 
 SYMMETRIES = frozenset({"translation", "rotation", "reflection"})
 """What may be done to fluid and beads together so that nothing else changes."""
@@ -24,6 +29,12 @@ class AbstractDomain(eqx.Module):
 
     def check(self, dim: int) -> None:
         """Refuse a dimension that the domain cannot have, in one sentence."""
+
+    def check_flow(self, name: str, velocity: Callable[[Array, Array], Array], dim: int) -> None:
+        """Refuse, in one sentence, an ambient flow that the domain cannot have.
+
+        **Arguments**: its name; the velocity as a function of a time and a point; dimensions.
+        """
 
     @abc.abstractmethod
     def nearest(self, separation: Sequence[Any], unit: Any) -> Sequence[Any]:
@@ -47,3 +58,80 @@ class Unbounded(AbstractDomain):
     def nearest(self, separation: Sequence[Any], unit: Any) -> Sequence[Any]:
         """The separation itself."""
         return separation
+
+
+class AbstractHalfSpace(AbstractDomain):
+    """The fluid on one side of a plane.
+
+    **Arguments**: `point`, any of the plane [length]; `normal`, of any length, into the fluid.
+    """
+
+    symmetries: ClassVar[frozenset[str]] = frozenset()
+    point: Float[Array, " dim"] = eqx.field(converter=float_array)
+    normal: Float[Array, " dim"] = eqx.field(converter=float_array)
+
+    def __check_init__(self) -> None:
+        shape("point", self.point, (2,), (3,))
+        shape("normal", self.normal, self.point.shape)
+        finite("point", self.point)
+        finite("normal", self.normal)
+        non_zero("normal", self.normal[None])
+
+    @property
+    def direction(self) -> Float[Array, " dim"]:
+        """The normal at length one."""
+        return self.normal / jnp.sqrt(jnp.sum(self.normal * self.normal))
+
+    def check(self, dim: int) -> None:
+        """A plane of the scene's dimensions (in the plane its normal lies in it)."""
+        if self.point.shape != (dim,):
+            must = f"hold a point and a normal of {dim} components"
+            fail("scene.domain", must, f"they have {self.point.shape[0]}")
+
+    def nearest(self, separation: Sequence[Any], unit: Any) -> Sequence[Any]:
+        """The separation itself."""
+        return separation
+
+    def height(self, position: Float[Array, "beads dim"]) -> Float[Array, " beads"]:
+        """Distance of each centre from the plane [length]."""
+        return jnp.sum((position - self.point[None]) * self.direction[None], axis=1)
+
+    def clearance(
+        self, position: Float[Array, "beads dim"], radius: Float[Array, "*beads"]
+    ) -> Float[Array, " beads"]:
+        """The height less the radius."""
+        return self.height(position) - radius
+
+
+_PLACES = np.random.default_rng(0).uniform(-1.0, 1.0, (16, 3)) * np.logspace(-1, 2, 16)[:, None]
+
+
+class NoSlipWall(AbstractHalfSpace):
+    """A plane to which the fluid sticks, as of glass: `NoSlipWall([0, 0], [0, 1])` is the fluid above
+    y = 0. Ambient flows must vanish at it."""
+
+    def check_flow(self, name: str, velocity: Callable[[Array, Array], Array], dim: int) -> None:
+        """Refuse a flow that does not vanish at some points of the wall, for some time."""
+        if not known((self.point, self.normal)):
+            return
+        places = jnp.asarray(_PLACES[:, :dim], self.point.dtype)
+        normal = self.direction
+        on = places - jnp.sum(places * normal[None], axis=1, keepdims=True) * normal[None]
+        for t, x in zip(np.linspace(0.0, 7.0, len(on)), on, strict=True):
+            points = self.point + x, self.point + x + normal
+            speeds = [velocity(jnp.asarray(t, x.dtype), point) for point in points]
+            if not known(speeds):
+                return
+            at, above = (float(np.abs(np.asarray(u)).max()) for u in speeds)
+            if at > 1e-9 * max(above, float(np.abs(np.asarray(x)).max()) * 1e-3 * above, at * 1e-6):
+                place = ", ".join(f"{c:.3g}" for c in np.asarray(self.point + x))
+                must = "vanish at the wall of a `NoSlipWall`"
+                fail(
+                    f"scene.flow ({name})",
+                    must,
+                    f"at ({place}) its speed is {at:.3g} (t = {t:.3g})",
+                )
+
+
+class FreeSurface(AbstractHalfSpace):
+    """A flat surface without friction, as of water under air, which nothing bends."""

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from ._checks import described, fail, increasing, known
 from ._typing import float_array, with_all_digits
@@ -211,11 +211,22 @@ def _trajectory(
     states = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), state, states)
     errors = bond_errors(scene, lax.stop_gradient(states))
     good = jnp.all(jnp.isfinite(states.position)) & (jnp.max(errors) <= _BOND_TOLERANCE)
+    good = good & ~jnp.any(beyond(scene, states))
     code = jnp.where((carry.code == Outcome.FINE) & ~good, Outcome.BROKEN, carry.code)
     lost = jnp.max(law_errors(scene, stepper, *lax.stop_gradient((ts, states))), initial=0.0)
     code = jnp.where((code == Outcome.FINE) & (lost > _LAW_TOLERANCE), Outcome.OFF_ITS_LAW, code)
     method = name_number(stepper.solver.name)
     return Solution(ts, states, carry.steps, code, bond_length_error=errors, method=method)
+
+
+def beyond(scene: Scene, states: State) -> Bool[Array, " times"]:
+    """Whether a bead is beyond the boundary of the domain, at each time."""
+
+    def one(state: State) -> Array:
+        outside = scene.outside(state)
+        return jnp.zeros((), bool) if outside is None else jnp.any(outside)
+
+    return jax.vmap(one)(states)
 
 
 def bond_errors(scene: Scene, states: State) -> Float[Array, " times"]:

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from ._checks import described, fail, finite, kind, known
 from ._typing import float_array
@@ -77,6 +77,11 @@ class Scene(Setting):
     def operator(self, state: State) -> Operator:
         """The mobility of the beads where they are."""
         return self.mobility.operator(self.configuration(state, self.rotational))
+
+    def outside(self, state: State) -> Bool[Array, " beads"] | None:
+        """Whether the centre of each bead is beyond the domain's boundary; `None` without one."""
+        clearance = self.domain.clearance(state.position, self.chain.radius)
+        return None if clearance is None else clearance < -self.chain.radius
 
     def bond_errors(self, state: State) -> Float[Array, " bonds"]:
         """Relative error of each bond length that a chain constraint keeps; 0 of others."""
@@ -211,17 +216,18 @@ def check(
         _check_range(scene)
     for term in (*scene.constraints, *scene.forces):
         term.check(chain, dim)
-    scene.domain.check(dim)
-    scene.mobility.check(scene, scene.flow, dim)
-    _check_inside(scene, position)
     jointed = any(isinstance(c, Joint) for c in scene.constraints)
     for force in scene.forces:
         if isinstance(force, Bending) and jointed:
             fail("scene.forces", "bend a chain of Joint with JointBending", "it holds Bending")
         if isinstance(force, JointBending) and not jointed:
             fail("scene.constraints", "hold Joint beside JointBending", "it does not")
+    scene.domain.check(dim)
     if scene.flow is not None:
         scene.flow.check(dim)
+        scene.domain.check_flow(type(scene.flow).__name__, scene.flow.velocity, dim)
+    scene.mobility.check(scene, scene.flow, dim)
+    _check_inside(scene, position)
     _warn_of_loose_fibres(scene)
     numbers = known((state, chain))
     if numbers and scene.mobility.interacting and any(c.links for c in scene.constraints):
@@ -251,15 +257,11 @@ def _check_inside(scene: Scene, position: Array) -> None:
     clearance = scene.domain.clearance(position, scene.chain.radius)
     if clearance is None or not known(clearance):
         return
-    beyond, radii = np.asarray(clearance), np.asarray(scene.chain.radii)
-    if np.any(beyond < -radii):
-        bead = int(np.argmin(beyond + radii))
+    height = np.asarray(clearance) + np.asarray(scene.chain.radii)
+    if np.any(height < 0):
+        bead = int(np.argmin(height))
         must = f"hold beads within the domain {type(scene.domain).__name__}"
-        fail(
-            "state",
-            must,
-            f"the centre of bead {bead} lies {-beyond[bead] - radii[bead]:.3g} outside",
-        )
+        fail("state", must, f"the centre of bead {bead} lies {-height[bead]:.3g} outside")
 
 
 def _warn_of_loose_fibres(scene: Scene) -> None:

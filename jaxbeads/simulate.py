@@ -26,6 +26,7 @@ from .rollout import (
     Stepper,
     Tolerance,
     advance,
+    beyond,
     diagnostics,
     law_errors,
     solver_for,
@@ -48,6 +49,7 @@ LAW_TOLERANCE = 1e-3
 _advance = eqx.filter_jit(advance)
 _init = eqx.filter_jit(lambda stepper, *args: stepper.init(*args))
 _diagnostics = eqx.filter_jit(diagnostics)
+_beyond = eqx.filter_jit(beyond)
 
 
 class _Clock:
@@ -282,6 +284,7 @@ class _Run:
         part = _part(self.scene, jax.device_put(ts[done + 1 : done + count + 1]), each, after)
         fine = np.isfinite(np.asarray(part.states.position)).all(axis=(1, 2))
         fine &= np.asarray(part.bond_length_error) <= self.bond_tolerance
+        fine &= ~np.asarray(_beyond(self.scene, part.states))
         fine &= np.asarray(part.residual) <= RESIDUAL_TOLERANCE
         if not fine.all() or int(after.code) != Outcome.FINE:
             self.stop(carry, done, int(np.argmin(fine)), parts, clock)

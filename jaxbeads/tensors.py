@@ -186,19 +186,19 @@ def rpy_motion(configuration: Configuration, load: Load) -> Motion:
     scaled, rotational = configuration.scaled, configuration.rotational
 
     def fields(vector: list[Field], radii: Radii | None) -> tuple[Field, ...]:
-        return _pushed(vector, radii, scaled.length, configuration.viscosity, rotational, load)
+        return pushed(vector, radii, scaled.length, configuration.viscosity, rotational, load)
 
-    return _motion(scaled.sums(fields), configuration)
+    return as_motion(scaled.sums(fields), configuration)
 
 
-def _motion(sums: list[Array], configuration: Configuration) -> Motion:
+def as_motion(sums: list[Array], configuration: Configuration) -> Motion:
     """Components of velocities, and of spins where they take part, on the last axis."""
     dim = configuration.dim
     velocity = jnp.stack(sums[:dim], axis=-1)
     return Motion(velocity, jnp.stack(sums[dim:], axis=-1) if configuration.rotational else None)
 
 
-def _pushed(
+def pushed(
     vector: list[Field],
     radii: Radii | None,
     length: Array,
@@ -289,12 +289,12 @@ def shear_disturbance(
     scaled = configuration.scaled
 
     def fields(vector: list[Field], radii: Radii | None) -> tuple[Field, ...]:
-        return _disturbance(vector, radii, scaled.length, strain_rate, configuration.rotational)
+        return strained(vector, radii, scaled.length, strain_rate, configuration.rotational)
 
-    return _motion(scaled.sums(fields), configuration)
+    return as_motion(scaled.sums(fields), configuration)
 
 
-def _disturbance(
+def strained(
     vector: list[Field],
     radii: Radii | None,
     length: Array,
@@ -344,9 +344,9 @@ def rpy_gradient(
     def pairs(vector: list[Field], rate: Array | None) -> tuple[Field, ...]:
         moved: list[tuple[Field, ...]] = []
         if loaded:
-            moved.append(_pushed(vector, radii, length, viscosity, rotational, load))
+            moved.append(pushed(vector, radii, length, viscosity, rotational, load))
         if rate is not None:
-            moved.append(_disturbance(vector, radii, length, rate, rotational))
+            moved.append(strained(vector, radii, length, rate, rotational))
         return tuple(reduce(jnp.add, parts) for parts in zip(*moved, strict=True))
 
     rate = None if strain is None else strain(position)
@@ -358,10 +358,10 @@ def rpy_gradient(
         # The strain at bead j changes with its place.
         shift = jnp.broadcast_to(length * units[:, None, :, 0, 0], (dim, *position.shape))
         slope = jax.vmap(jax.linearize(strain, position)[1])(shift)
-        others = jax.vmap(lambda e: _disturbance(vectors, radii, length, e, rotational))(slope)
+        others = jax.vmap(lambda e: strained(vectors, radii, length, e, rotational))(slope)
         slopes = [f - g for f, g in zip(slopes, others, strict=True)]
     total = [
         jnp.einsum("sic,ci->si", shifts, o) - jnp.einsum("sjc,cij->si", shifts, f)
         for o, f in zip(own, slopes, strict=True)
     ]
-    return _motion(total, configuration)
+    return as_motion(total, configuration)

@@ -24,6 +24,7 @@ ORDER = [
     {"pairs"},
     {"configuration"},
     {"tensors"},
+    {"images", "mirror"},
     {"chain", "flow", "actuation", "dimensionless"},
     {"frames", "setting"},
     {"carried"},

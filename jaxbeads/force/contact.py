@@ -3,6 +3,7 @@
 from typing import ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -16,7 +17,8 @@ from .base import AbstractForce, repulsion
 
 class Contact(AbstractForce):
     """Repulsion along the line of centres between beads of different fibres, and between beads of one
-    fibre that are not neighbours. Its profile over the distance of the surfaces is that of eq. (43).
+    fibre that are not neighbours; and off the boundary of the domain, if it has one. Its profile over
+    the distance of the surfaces is that of eq. (43).
 
     **Arguments**
 
@@ -77,7 +79,7 @@ class Contact(AbstractForce):
         return jnp.any(pair_sums(fields, beads)[0] > 0)
 
     def load(self, t: Float[Array, ""], state: State, scene: Setting) -> Load:
-        """Forces on the beads; they sum to zero."""
+        """Forces on the beads; but for those of a wall they sum to zero."""
         chain = scene.chain
         index = jnp.arange(chain.beads)
         beads = state.position, chain.radii, index, jnp.asarray(chain.fibre_of_bead)
@@ -95,4 +97,15 @@ class Contact(AbstractForce):
             push = repulsion(distance - radii, self.roughness, self.decay) / distance
             return [jnp.where(skip, 0.0, push) * x for x in d]
 
-        return Load(force=self.strength * jnp.stack(pair_sums(fields, beads), axis=1))
+        force = jnp.stack(pair_sums(fields, beads), axis=1)
+        gap = scene.domain.clearance(state.position, chain.radius)
+        if gap is not None:
+            # The way out is where the clearance grows.
+            inward = jax.grad(lambda x: jnp.sum(self._clearance(x, scene)))(state.position)
+            force = force + repulsion(gap, self.roughness, self.decay)[:, None] * inward
+        return Load(force=self.strength * force)
+
+    @staticmethod
+    def _clearance(position: Array, scene: Setting) -> Array:
+        clearance = scene.domain.clearance(position, scene.chain.radius)
+        return jnp.zeros(len(position)) if clearance is None else clearance

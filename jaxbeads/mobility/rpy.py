@@ -5,19 +5,21 @@ from typing import ClassVar
 import equinox as eqx
 from jaxtyping import Array, Float
 
-from .. import tensors
+from .. import images, mirror, tensors
 from ..configuration import Configuration
+from ..domain import AbstractDomain, FreeSurface, NoSlipWall, Unbounded
 from ..pairs import PairTensor
-from ..state import Load, Motion
+from ..state import Load, Motion, add_motions
 from .base import MOST_DENSE, AbstractMobility, Strain
 
 
 class RPY(AbstractMobility):
-    """Rotne-Prager-Yamakawa mobility in an unbounded fluid, for translation alone or with rotation
-    (as the scene's other terms need), with the shear-disturbance tensor C.
+    """Rotne-Prager-Yamakawa mobility in an unbounded fluid or a half space, for translation alone or
+    with rotation (as the scene's other terms need), with the shear-disturbance tensor C.
 
     Exact to order (a/R)^3 for separate beads and positive definite in every configuration,
-    overlapping included; no lubrication. Formulas and sources: `jaxbeads.tensors`.
+    overlapping included; no lubrication. Formulas and sources: `jaxbeads.tensors`; of a no-slip wall
+    `jaxbeads.images`, of a free surface `jaxbeads.mirror`.
 
     **Arguments**
 
@@ -30,6 +32,7 @@ class RPY(AbstractMobility):
     """
 
     tabulated: ClassVar[bool] = True
+    domains: ClassVar[tuple[type[AbstractDomain], ...]] = (Unbounded, NoSlipWall, FreeSurface)
     strained: bool = eqx.field(static=True, default=True)
     dense: bool | None = eqx.field(static=True, default=None)
 
@@ -39,17 +42,40 @@ class RPY(AbstractMobility):
 
     def motion(self, configuration: Configuration, load: Load) -> Motion:
         """M F, pair by pair."""
-        return tensors.rpy_motion(configuration, load)
+        if isinstance(configuration.domain, NoSlipWall):
+            wall = images.wall(configuration)
+            load = wall.slowed(load)
+            free = tensors.rpy_motion(wall.configuration, load)
+            return wall.slowed(add_motions(free, wall.motion(load)))
+        motion = tensors.rpy_motion(configuration, load)
+        if isinstance(configuration.domain, FreeSurface):
+            motion = add_motions(motion, mirror.motion(configuration, load))
+        return motion
 
     def disturbance(
         self, configuration: Configuration, strain_rate: Float[Array, "*beads dim dim"]
     ) -> Motion | None:
         """C : E."""
-        return tensors.shear_disturbance(configuration, strain_rate) if self.strained else None
+        if not self.strained:
+            return None
+        if isinstance(configuration.domain, NoSlipWall):
+            wall = images.wall(configuration)
+            free = tensors.shear_disturbance(wall.configuration, strain_rate)
+            return wall.slowed(add_motions(free, wall.disturbance(strain_rate)))
+        carried = tensors.shear_disturbance(configuration, strain_rate)
+        if isinstance(configuration.domain, FreeSurface):
+            carried = add_motions(carried, mirror.disturbance(configuration, strain_rate))
+        return carried
 
     def tables(self, configuration: Configuration) -> PairTensor:
         """All pair tensors as `(beads, beads)` fields."""
-        return tensors.rpy(configuration)
+        if isinstance(configuration.domain, NoSlipWall):
+            wall = images.wall(configuration)
+            return wall.slowed_tables(images.added(tensors.rpy(wall.configuration), wall.tables()))
+        tables = tensors.rpy(configuration)
+        if isinstance(configuration.domain, FreeSurface):
+            tables = images.added(tables, mirror.tables(configuration))
+        return tables
 
     def gradient(
         self,
@@ -62,4 +88,6 @@ class RPY(AbstractMobility):
         strain = strain if self.strained else None
         if load.force is None and load.torque is None and strain is None:
             return None
+        if not isinstance(configuration.domain, Unbounded):
+            return super().gradient(configuration, load, strain, shifts)
         return tensors.rpy_gradient(configuration, load, strain, shifts)

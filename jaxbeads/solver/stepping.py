@@ -203,6 +203,8 @@ class AdaptiveSteps(eqx.Module):
         # A step that fails or leaves the finite numbers is tried again with a smaller one.
         bad = (result != diffrax.RESULTS.successful) | ~jnp.all(jnp.isfinite(y.position))
         bad = bad | watched.passed(t0, t1, y, path)
+        if (outside := scene.outside(y)) is not None:
+            bad = bad | jnp.any(outside)
         if unseen is not None:
             bad = bad | ~jnp.isfinite(unseen)
             error = _larger(error, unseen)

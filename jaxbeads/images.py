@@ -1,0 +1,381 @@
+"""Images of spheres behind a no-slip wall: what it adds to the mobility.
+
+Let v, p be the flow of the mirrored source behind the plane, w the component of v along the plane's
+normal n, z the height above the plane and J the mirror, J x = x - 2 n (n.x). Lorentz's reflection
+
+    u = -J v - 2 z grad w + (z^2/mu) grad p
+
+is a Stokes flow that cancels the flow of the source itself on the wall. Its mean over the surface of a
+sphere of radius a is (1 + a^2/6 lap) u at the centre, with lap u = (2 - J) grad p/mu - 4 (n.grad) grad w
++ 2 z (n.grad) grad p/mu, and its half curl is -curl v/2 + 2 grad w x n - (z/mu) grad p x n. All that is
+needed is a source's v and p with two derivatives. Sources are forces and torques spread over a sphere,
+and the stresslet of a sphere in a straining flow. The result is that of Swan & Brady, Phys. Fluids 19
+(2007) 113306, for spheres of any radii.
+
+Vectors are lists of components in space, of which `None` is zero.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import reduce
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .configuration import Configuration
+from .domain import NoSlipWall
+from .pairs import PairTensor, Signed, pair_sums, separations
+from .state import Load, Motion, spins
+
+Component = Array | None
+Vector = Sequence[Component]
+_AXES = ((1, 2), (2, 0), (0, 1))
+
+
+def _times(*factors: Component | float) -> Component:
+    if any(x is None for x in factors):
+        return None
+    return reduce(lambda x, y: x * y, factors)  # type: ignore[operator]
+
+
+def _plus(*terms: Component) -> Component:
+    there = [x for x in terms if x is not None]
+    return reduce(jnp.add, there) if there else None
+
+
+def _scaled(number: Component | float, vector: Vector) -> Vector:
+    return [_times(number, x) for x in vector]
+
+
+def _total(*vectors: Vector) -> Vector:
+    return [_plus(*parts) for parts in zip(*vectors, strict=True)]
+
+
+def _dot(a: Vector, b: Vector) -> Component:
+    return _plus(*(_times(x, y) for x, y in zip(a, b, strict=True)))
+
+
+def _cross(a: Vector, b: Vector) -> Vector:
+    return [_plus(_times(a[j], b[k]), _times(-1.0, a[k], b[j])) for j, k in _AXES]
+
+
+def _there(component: Component, like: Array) -> Array:
+    return jnp.zeros_like(like) if component is None else component
+
+
+def _square(r: Vector) -> Array:
+    return reduce(jnp.add, [x * x for x in r if x is not None])
+
+
+class _Source(NamedTuple):
+    """The flow of a mirrored source, without 8 pi mu: v, half its curl, grad w, (n.grad) grad w, and the
+    same of the pressure over the viscosity (`None` without a pressure)."""
+
+    velocity: Vector
+    spin: Vector
+    slope: Vector
+    along: Vector
+    push: Vector | None = None
+    push_along: Vector | None = None
+
+
+def _mirrored(vector: Vector, normal: Vector) -> Vector:
+    return _total(vector, _scaled(_times(-2.0, _dot(normal, vector)), normal))
+
+
+def _forced(r: Vector, height: Array, normal: Vector, force: Vector, radius: Array) -> _Source:
+    """Of a force; `height`: the component of r along the normal."""
+    f, alpha = _mirrored(force, normal), radius * radius / 3
+    s, fn = _dot(r, f), _dot(normal, f)
+    i2 = 1 / _square(r)
+    i1 = jnp.sqrt(i2)
+    i3, i5, i7 = i1 * i2, i1 * i2 * i2, i1 * i2 * i2 * i2
+    i9 = i7 * i2
+    g2, h1 = i3 - 3 * alpha * i5, -i3 - 3 * alpha * i5
+    h2, k1, k2 = -3 * i5 + 15 * alpha * i7, 3 * i5 + 15 * alpha * i7, 15 * i7 - 105 * alpha * i9
+    hs = _times(height, s)
+    slope = _total(
+        _scaled(_plus(_times(fn, h1), _times(h2, hs)), r),
+        _scaled(_times(g2, s), normal),
+        _scaled(g2 * height, f),
+    )
+    along = _total(
+        _scaled(
+            _plus(_times(fn, k1 + h2, height), _times(k2, height, hs), _times(h2, s)),
+            r,
+        ),
+        _scaled(_plus(_times(fn, h1 + g2), _times(2.0, h2, hs)), normal),
+        _scaled(h2 * height * height + g2, f),
+    )
+    push = _total(_scaled(2 * i3, f), _scaled(_times(-6.0, s, i5), r))
+    push_along = _total(
+        _scaled(-6 * height * i5, f),
+        _scaled(_plus(_times(-6.0, fn, i5), _times(30.0, hs, i7)), r),
+        _scaled(_times(-6.0, s, i5), normal),
+    )
+    velocity = _total(_scaled(i1 + alpha * i3, f), _scaled(_times(s, g2), r))
+    return _Source(velocity, _scaled(i3, _cross(f, r)), slope, along, push, push_along)
+
+
+def _twisted(r: Vector, height: Array, normal: Vector, torque: Vector) -> _Source:
+    """Of a torque, which a mirror turns the other way."""
+    t = _scaled(-1.0, _mirrored(torque, normal))
+    turn = _cross(t, r)
+    q, m = _dot(normal, turn), _cross(normal, t)
+    i2 = 1 / _square(r)
+    i3 = jnp.sqrt(i2) * i2
+    i5, i7 = i3 * i2, i3 * i2 * i2
+    slope = _total(_scaled(i3, m), _scaled(_times(-3.0, q, i5), r))
+    along = _total(
+        _scaled(-3 * height * i5, m),
+        _scaled(_times(15.0, q, height, i7), r),
+        _scaled(_times(-3.0, q, i5), normal),
+    )
+    spin = _total(_scaled(_times(1.5, _dot(r, t), i5), r), _scaled(-0.5 * i3, t))
+    return _Source(_scaled(i3, turn), spin, slope, along)
+
+
+def derived(
+    velocity: Callable[[list[Array]], Vector],
+    pressure: Callable[[list[Array]], Array],
+    r: list[Array],
+    normal: Vector,
+) -> _Source:
+    """A source's derivatives by differentiation of its flow and its pressure over the viscosity."""
+    count = len(r)
+
+    def unit(k: int) -> list[Array]:
+        return [jnp.ones_like(x) if j == k else jnp.zeros_like(x) for j, x in enumerate(r)]
+
+    def slopes(function: Callable[[list[Array]], Array]) -> Callable[[list[Array]], list[Array]]:
+        return lambda r: [jax.jvp(function, (r,), (unit(k),))[1] for k in range(count)]
+
+    along = [jnp.broadcast_to(jnp.asarray(n), x.shape) for n, x in zip(normal, r, strict=False)]
+
+    def whole(vector: Sequence[Array]) -> Vector:
+        return [*vector, *[None] * (3 - count)]
+
+    def across(r: list[Array]) -> Array:
+        return _there(_dot(normal, velocity(r)), r[0])
+
+    slope, slope_along = jax.jvp(slopes(across), (r,), (along,))
+    push, push_along = jax.jvp(slopes(pressure), (r,), (along,))
+    rows = [
+        slopes(lambda r, i=i: _there(velocity(r)[i], r[0]))(r) for i in range(count)
+    ]  # d v_i/d r_k
+
+    def half(i: int, j: int) -> Component:
+        return 0.5 * (rows[j][i] - rows[i][j]) if max(i, j) < count else None
+
+    spin = [half(j, k) for j, k in _AXES]
+    return _Source(
+        velocity(r), spin, whole(slope), whole(slope_along), whole(push), whole(push_along)
+    )
+
+
+def _strained(
+    r: list[Array], normal: Vector, strain: Sequence[Sequence[Array]], radius: Array
+) -> _Source:
+    """Of a sphere that resists a straining flow."""
+    rows: list[Vector] = [[*row, *[None] * (3 - len(r))] for row in strain]
+    # J E J, rows first, then columns.
+    half = [_mirrored(row, normal)[: len(r)] for row in rows]
+    columns = [_mirrored([*c, *[None] * (3 - len(r))], normal) for c in zip(*half, strict=True)]
+    mirrored = list(zip(*columns, strict=True))
+
+    def parts(r: list[Array]) -> tuple[list[Array], Array, Array]:
+        er = [_plus(*(_times(e, x) for e, x in zip(row, r, strict=False))) for row in mirrored]
+        er = [_there(x, r[0]) for x in er[: len(r)]]
+        return er, _there(_dot(r, er), r[0]), 1 / _square(r)
+
+    def velocity(r: list[Array]) -> Vector:
+        er, rer, i2 = parts(r)
+        i5 = jnp.sqrt(i2) * i2 * i2
+        a2 = radius * radius
+        along = 2.5 * a2 * radius * i5 * (a2 * i2 - 1) * rer
+        v = [along * x - a2 * a2 * radius * i5 * y for x, y in zip(r, er, strict=True)]
+        return [*v, *[None] * (3 - len(r))]
+
+    def pressure(r: list[Array]) -> Array:
+        _, rer, i2 = parts(r)
+        return -5 * radius**3 * jnp.sqrt(i2) * i2 * i2 * rer
+
+    return derived(velocity, pressure, r, normal)
+
+
+def reflected(
+    source: _Source, height: Array, radius: Array, normal: Vector
+) -> tuple[Vector, Vector]:
+    """Velocity and spin of a sphere at a height above a no-slip wall."""
+    z, share = height, radius * radius / 6
+    v = [_scaled(-1.0, _mirrored(source.velocity, normal)), _scaled(-2 * z, source.slope)]
+    v.append(_scaled(-4 * share, source.along))
+    w = [_scaled(-1.0, source.spin), _scaled(2.0, _cross(source.slope, normal))]
+    if source.push is not None and source.push_along is not None:
+        # 2 - J = 1 + 2 n n.
+        twice = _scaled(_times(2.0, _dot(normal, source.push)), normal)
+        v += [_scaled(z * z, source.push), _scaled(share, _total(source.push, twice))]
+        v.append(_scaled(2 * z * share, source.push_along))
+        w.append(_scaled(-z, _cross(source.push, normal)))
+    return _total(*v), _total(*w)
+
+
+class _Spheres(NamedTuple):
+    """Some spheres, lengths in units of one: positions, heights, radii."""
+
+    position: Array
+    height: Array
+    radius: Array
+
+
+class Wall(NamedTuple):
+    """Spheres above a no-slip wall, each at least as high as its radius."""
+
+    configuration: Configuration
+    length: Array
+    direction: Array
+    normal: Vector
+    spheres: _Spheres
+
+    share: Float[Array, " beads"]
+    """By which spheres that overlap the wall are slowed, see `wall`."""
+
+    def slowed(self, tree: Any) -> Any:
+        """Loads or motions times the share of each bead."""
+        return jax.tree.map(lambda x: self.share[:, None] * x, tree)
+
+    def slowed_tables(self, tables: PairTensor) -> PairTensor:
+        """The same of a mobility, from both sides."""
+        pairs = self.share[:, None] * self.share[None, :]
+        return jax.tree.map(lambda field: pairs * field, tables)
+
+    def _apart(self, to: _Spheres, of: _Spheres) -> tuple[list[Array], Array]:
+        """From the mirror images to the spheres, and that along the normal."""
+        images = of.position - 2 * of.height[:, None] * self.direction[None]
+        return separations(to.position, images), to.height[:, None] + of.height[None, :]
+
+    def _components(self, velocity: Vector, spin: Vector, like: Array) -> list[Array]:
+        dim = self.configuration.dim
+        parts = list(velocity[:dim])
+        if self.configuration.rotational:
+            parts += spin[2:] if dim == 2 else spin
+        return [_there(x, like) for x in parts]
+
+    def _motion(self, fields: Callable[[_Spheres, _Spheres], list[Array]]) -> Motion:
+        sums, dim = pair_sums(fields, self.spheres), self.configuration.dim
+        velocity = jnp.stack(sums[:dim], axis=-1)
+        spin = jnp.stack(sums[dim:], axis=-1) if self.configuration.rotational else None
+        return Motion(velocity, spin)
+
+    def _loaded(self, to: _Spheres, of: _Spheres, force: Vector, torque: Vector) -> list[Array]:
+        """What forces and torques on the second spheres do to the first."""
+        r, height = self._apart(to, of)
+        vector = [*r, *[None] * (3 - len(r))]
+        z, a, b = to.height[:, None], to.radius[:, None], of.radius[None, :]
+        unit = 1 / (8 * np.pi * self.configuration.viscosity * self.length)
+        velocity: list[Vector] = []
+        spin: list[Vector] = []
+        if any(x is not None for x in force):
+            source = _forced(vector, height, self.normal, force, b)
+            v, w = reflected(source, z, a, self.normal)
+            velocity.append(_scaled(unit, v))
+            spin.append(_scaled(unit / self.length, w))
+        if any(x is not None for x in torque):
+            v, w = reflected(_twisted(vector, height, self.normal, torque), z, a, self.normal)
+            velocity.append(_scaled(unit / self.length, v))
+            spin.append(_scaled(unit / self.length / self.length, w))
+        return self._components(_total(*velocity), _total(*spin), height)
+
+    def motion(self, load: Load) -> Motion:
+        """What the images of loads add to M F."""
+        dim = self.configuration.dim
+
+        def rows(x: Array | None) -> Vector:
+            return [None] * 3 if x is None else [c[None, :] for c in x.T]
+
+        force = rows(load.force)
+        force = [*force[:dim], *[None] * (3 - dim)]
+        torque = rows(load.torque)
+        torque = torque if len(torque) == 3 else [None, None, *torque]
+        return self._motion(lambda to, of: self._loaded(to, of, force, torque))
+
+    def tables(self) -> PairTensor:
+        """What they add to M, as fields."""
+        dim, turns = self.configuration.dim, spins(self.configuration.dim)
+        spheres, rotational = self.spheres, self.configuration.rotational
+        one, none = jnp.ones((1, self.configuration.beads), spheres.position.dtype), [None] * 3
+
+        def column(force: Vector, torque: Vector) -> list[Array]:
+            return self._loaded(spheres, spheres, force, torque)
+
+        def unit(k: int) -> Vector:
+            return [one if j == k else None for j in range(3)]
+
+        by_force = [column(unit(k), none) for k in range(dim)]
+        tt = tuple(tuple(c[i] for c in by_force) for i in range(dim))
+        if not rotational:
+            return PairTensor(tt)
+        by_torque = [column(none, unit(k)) for k in (range(3) if dim == 3 else (2,))]
+        tr = tuple(tuple(Signed(c[i]) for c in by_torque) for i in range(dim))
+        rt = tuple(tuple(Signed(c[dim + i]) for c in by_force) for i in range(turns))
+        return PairTensor(
+            tt, tr, rt, tuple(tuple(c[dim + i] for c in by_torque) for i in range(turns))
+        )
+
+    def disturbance(self, strain_rate: Float[Array, "*beads dim dim"]) -> Motion:
+        """What the images of the spheres' stresslets add to C : E."""
+        rows = strain_rate if strain_rate.ndim == 2 else strain_rate[None]
+        dim = self.configuration.dim
+
+        def fields(to: _Spheres, of: _Spheres) -> list[Array]:
+            r, height = self._apart(to, of)
+            e = [[rows[..., i, j] for j in range(dim)] for i in range(dim)]
+            source = _strained(r, self.normal, e, of.radius[None, :] + 0 * height)
+            v, w = reflected(source, to.height[:, None], to.radius[:, None], self.normal)
+            return self._components(_scaled(self.length, v), w, height)
+
+        return self._motion(fields)
+
+
+def wall(configuration: Configuration) -> Wall:
+    """The images behind a no-slip wall, and the configuration that has them.
+
+    They are those of spheres above the wall. One that overlaps it is lifted until it touches, and loads
+    on it and its motion are multiplied by its height over its radius, at least 0: with B the diagonal of
+    these shares, B M B is as positive as M, and no bead moves through the wall.
+    """
+    domain = configuration.domain
+    if not isinstance(domain, NoSlipWall):
+        raise ValueError("Argument `configuration` must be that of a `NoSlipWall`, but it is not.")
+    height, normal = domain.height(configuration.position), domain.direction
+    lift = jnp.maximum(configuration.radius - height, 0.0)
+    share = jnp.clip(height / configuration.radius, 0.0, 1.0)
+    lifted = configuration.at(configuration.position + lift[:, None] * normal[None])
+    scaled = lifted.scaled
+    radius = 1.0 if scaled.radius is None else scaled.radius
+    radii = jnp.broadcast_to(jnp.asarray(radius, height.dtype), height.shape)
+    components = [*normal, *[None] * (3 - len(normal))]
+    spheres = _Spheres(scaled.position, (height + lift) / scaled.length, radii)
+    return Wall(lifted, scaled.length, normal, components, spheres, share)
+
+
+def added(one: PairTensor, other: PairTensor) -> PairTensor:
+    """The sum of two mobilities as tables."""
+
+    def signed(a: Signed | None, b: Signed | None) -> Signed | None:
+        there = [x.sign * x.field for x in (a, b) if x is not None]
+        return Signed(reduce(jnp.add, there)) if there else None
+
+    def tables(a: tuple, b: tuple, join: Callable) -> tuple:
+        return tuple(
+            tuple(join(x, y) for x, y in zip(p, q, strict=True)) for p, q in zip(a, b, strict=True)
+        )
+
+    return PairTensor(
+        tables(one.tt, other.tt, jnp.add),
+        tables(one.tr, other.tr, signed),
+        tables(one.rt, other.rt, signed),
+        tables(one.rr, other.rr, jnp.add),
+    )

@@ -1,0 +1,404 @@
+"""Half spaces: no-slip walls and free surfaces against Blake's tensor, quadrature, derived numbers."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import bent
+from dense import dense_motion, flat
+
+import jaxbeads as jb
+from jaxbeads import (
+    Chain,
+    Configuration,
+    FreeSurface,
+    Load,
+    NoSlipWall,
+    Scene,
+    State,
+    dynamics,
+    images,
+)
+from jaxbeads.constraint import EqualSpins, Gears, clamped
+from jaxbeads.flow import Extension, OscillatingShear, Shear
+from jaxbeads.force import Bending, Contact, Weight
+from jaxbeads.mobility import RPY, FreeDraining
+from jaxbeads.observables import rigid_resistance
+
+FLOOR = NoSlipWall([0.0, 0.0, 0.0], [0.0, 0.0, 1.0])
+SURFACE = FreeSurface([0.0, 0.0, 0.0], [0.0, 0.0, 1.0])
+BELOW = NoSlipWall([0.0, 0.0], [0.0, 1.0])  # in the plane
+SIX = 6 * np.pi
+
+
+def matrix(mobility, configuration):
+    """(6N, 6N) or (3N, 3N): forces of all, then torques of all."""
+    beads, dim = configuration.beads, configuration.dim
+    turns = 3 if dim == 3 else 1
+
+    @jax.jit
+    def columns(units):
+        def one(unit):
+            cut = beads * dim
+            load = Load(unit[:cut].reshape(beads, dim), unit[cut:].reshape(beads, turns))
+            moved = mobility.motion(configuration, load)
+            return jnp.concatenate([moved.velocity.ravel(), moved.spin.ravel()])
+
+        return jax.vmap(one, out_axes=1)(units)
+
+    return np.asarray(columns(jnp.eye(beads * (dim + turns))))
+
+
+def blake(x, y):
+    """Blake's tensor, G(x - y) with its image, without 8 pi mu; the wall is z = 0."""
+    r, h = x - y, y[2]
+    image = x - y * np.array([1.0, 1.0, -1.0])
+
+    def stokeslet(r):
+        n = np.linalg.norm(r)
+        return np.eye(3) / n + np.outer(r, r) / n**3
+
+    n, sign = np.linalg.norm(image), np.array([1.0, 1.0, -1.0])
+    dipole = sign * (np.eye(3) / n**3 - 3 * np.outer(image, image) / n**5)
+    e = np.array([0.0, 0.0, 1.0])
+    doublet = image[2] * dipole + sign * (np.outer(image, e) - np.outer(e, image)) / n**3
+    return stokeslet(r) - stokeslet(image) + 2 * h * h * dipole - 2 * h * doublet
+
+
+def sphere(nodes=10):
+    """Directions and weights of a mean over a sphere."""
+    c, w = np.polynomial.legendre.leggauss(nodes)
+    angles = 2 * np.pi * (np.arange(2 * nodes) + 0.5) / (2 * nodes)
+    s = np.sqrt(1 - c**2)
+    parts = s[:, None] * np.cos(angles), s[:, None] * np.sin(angles), c[:, None] + 0 * angles
+    return np.stack(parts, -1).reshape(-1, 3), np.repeat(w, 2 * nodes) / (4 * nodes)
+
+
+def test_unequal_spheres_by_quadrature_of_blakes_tensor():
+    # Means of Blake's tensor over both surfaces: forces, and torques as tangential forces.
+    x, a = np.array([[0.3, -0.2, 1.4], [2.9, 2.7, 2.6]]), np.array([0.8, 1.3])
+    (n, w), mu = sphere(), 0.7
+    found = matrix(RPY(), Configuration(x, a, mu, True, FLOOR))
+    tensor = np.array([[blake(x[0] + a[0] * p, x[1] + a[1] * q) for q in n] for p in n])
+    tensor /= 8 * np.pi * mu
+    tt = np.einsum("p,q,pqij->ij", w, w, tensor)
+    assert np.abs(found[:3, 3:6] - tt).max() < 1e-9
+    # spin of the first = 3/(2 a) mean of n x u; u by a torque T: 3/(2 a) T x n spread evenly
+    cross = np.cross(np.eye(3)[None, :, :], n[:, None, :])  # (q, k): e_k x n_q
+    by_torque = np.einsum("q,pqij,qkj->pik", w, tensor, cross) * 1.5 / a[1]
+    tr = np.einsum("p,pik->ik", w, by_torque)
+    assert np.abs(found[:3, 9:] - tr).max() < 1e-9
+    turned = np.cross(n[:, None, :], np.moveaxis(by_torque, 2, 1))  # (p, k): n x u of e_k
+    rr = np.einsum("p,pki->ik", w, turned) * 1.5 / a[0]
+    assert np.abs(found[6:9, 9:] - rr).max() < 1e-9
+    assert np.abs(found - found.T).max() < 1e-15
+
+
+def test_the_strain_of_a_sphere_is_felt_through_the_wall():
+    """C by the reciprocal theorem of differences: the image of a stresslet is the derivative of Blake's
+    tensor by its source, symmetric, times S = (20/3) pi mu a^3 E and the mean over the source."""
+    x, a = np.array([[0.3, -0.2, 1.4], [2.9, 2.7, 2.6]]), np.array([0.8, 1.3])
+    strain = np.array([[0.3, 0.2, -0.1], [0.2, -0.5, 0.4], [-0.1, 0.4, 0.2]])
+    (n, w), mu = sphere(), 1.0
+    # Force-free surface tractions of a rigid sphere in strain: 5 mu E n, of which flow is made.
+    traction = 5 * mu * n @ strain
+    area = 4 * np.pi * a[1] ** 2
+    targets = x[0] + a[0] * n
+    flow = np.array(
+        [
+            sum(
+                wq * area * blake(p, x[1] + a[1] * q) @ f
+                for q, wq, f in zip(n, w, -traction, strict=True)
+            )
+            for p in targets
+        ]
+    ) / (8 * np.pi * mu)
+    only = np.zeros((2, 3, 3))
+    only[1] = strain
+    found = RPY().disturbance(Configuration(x, a, mu, True, FLOOR), jnp.asarray(only))
+    assert np.abs(found.velocity[0] - w @ flow).max() < 1e-8
+    assert np.abs(found.spin[0] - w @ np.cross(n, flow) * 1.5 / a[0]).max() < 1e-8
+
+
+def test_closed_derivatives_are_those_of_the_flow():
+    rng = np.random.default_rng(1)
+    r, n = [jnp.asarray(x) for x in rng.normal(size=(3, 5)) + 2], np.array([0.6, 0.0, 0.8])
+    normal, force = [jnp.asarray(x) for x in n], [jnp.asarray(x) for x in (0.3, -0.7, 0.5)]
+    radius, height = jnp.asarray(0.7), sum(x * y for x, y in zip(n, r, strict=True))
+    by_force = images._forced(r, height, normal, force, radius)
+    by_torque = images._twisted(r, height, normal, force)
+
+    def forced(r):
+        return images._forced(r, height, normal, force, radius).velocity
+
+    def pressure(r):
+        f = np.asarray(force) - 2 * n * (n @ np.asarray(force))
+        return 2 * sum(x * y for x, y in zip(r, f, strict=True)) / sum(x * x for x in r) ** 1.5
+
+    def twisted(r):
+        return images._twisted(r, height, normal, force).velocity
+
+    for found, expected in (
+        (by_force, images.derived(forced, pressure, r, normal)),
+        (by_torque, images.derived(twisted, lambda r: 0 * r[0], r, normal)),
+    ):
+        for name in ("velocity", "spin", "slope", "along", "push", "push_along"):
+            mine, other = getattr(found, name), getattr(expected, name)
+            for a, b in zip(mine or [0.0] * 3, other, strict=True):
+                assert np.abs(a - b).max() < 1e-13, name
+
+
+HEIGHTS = [10.07, 3.762, 2.352, 1.543, 1.128]
+ALONG = [1.05903, 1.17269, 1.29943, 1.51073, 1.82321]
+TOWARDS = [1.12515, 1.40809, 1.79091, 2.54638, 3.53879]
+
+
+def drag(position, radius=1.0, domain=FLOOR):
+    spheres = Configuration(position, radius, 1.0, True, domain)
+    return np.linalg.inv(matrix(RPY(), spheres))
+
+
+@pytest.mark.parametrize(
+    ("height", "along", "towards"), list(zip(HEIGHTS, ALONG, TOWARDS, strict=True))
+)
+def test_drag_of_a_sphere_near_a_wall(height, along, towards):
+    # Of a sphere that does not turn, over 6 pi mu a.
+    resistance = drag([[0.0, 0.0, height]])
+    assert abs(resistance[0, 0] / SIX - along) < 6e-6
+    assert abs(resistance[2, 2] / SIX - towards) < 6e-6
+
+
+ROD = {
+    1.5: (6.656705, 10.284737, 25.341767, 9.460623),
+    2.0: (5.445706, 8.700811, 18.366146, 8.693332),
+    5.0: (3.804927, 5.953593, 8.785373, 8.039155),
+    20.0: (3.102307, 4.479311, 5.050588, 7.954416),
+}
+
+
+@pytest.mark.parametrize("height", ROD)
+def test_resistance_of_a_rod_above_a_wall(height):
+    x = np.zeros((10, 3))
+    x[:, 0], x[:, 2] = 2 * np.arange(10) - 9, height
+    resistance = drag(x)
+    body = np.zeros((60, 6))
+    for i in range(10):
+        body[3 * i : 3 * i + 3, :3] = np.eye(3)
+        body[30 + 3 * i : 33 + 3 * i, 3:] = np.eye(3)
+        for k in range(3):
+            body[3 * i : 3 * i + 3, 3 + k] = np.cross(np.eye(3)[k], x[i] - [0.0, 0.0, height])
+    total = body.T @ resistance @ body
+    along, across, towards, spin = ROD[height]
+    found = total[0, 0] / SIX, total[1, 1] / SIX, total[2, 2] / SIX, total[3, 3] / (8 * np.pi)
+    for a, b in zip(found, (along, across, towards, spin), strict=True):
+        assert abs(a - b) < 2e-6 * b
+
+
+def test_a_tilted_rod_falls_towards_a_wall():
+    tilt = np.pi / 6
+    e = np.array([np.sin(tilt), 0.0, np.cos(tilt)])
+    x = np.array([0.0, 0.0, 2.0]) + 2 * np.arange(10)[:, None] * e
+    scene = Scene(
+        Chain(1.0, 10),
+        1.0,
+        constraints=[Gears(), EqualSpins()],
+        forces=[Weight([0.0, 0.0, -0.1])],
+        domain=FLOOR,
+    )
+    moved = dynamics.motion(0.0, State(jnp.asarray(x)), scene)
+    mean = moved.velocity.mean(axis=0)
+    assert np.abs(mean - np.array([-0.0016547, 0.0, -0.0099315])).max() < 6e-8
+    assert abs(moved.spin[0, 1] - 0.00023316) < 6e-9
+
+
+def test_the_wall_may_be_anywhere():
+    """Point and normal turned and shifted with everything else; a plane scene is its spatial twin."""
+    rng = np.random.default_rng(2)
+    x = rng.uniform(-2, 2, (4, 3)) + np.array([0.0, 0.0, 3.0])
+    a = np.array([1.0, 0.7, 0.5, 1.2])
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    turn *= np.linalg.det(turn)
+    shift = np.array([5.0, -3.0, 2.0])
+    there = NoSlipWall(shift, 3.0 * turn @ [0.0, 0.0, 1.0])
+    here = matrix(RPY(), Configuration(x, a, 1.3, True, FLOOR))
+    moved = matrix(RPY(), Configuration(x @ turn.T + shift, a, 1.3, True, there))
+    whole = np.kron(np.eye(8), turn)
+    assert np.abs(moved - whole @ here @ whole.T).max() < 1e-15
+    plane = x[:, [0, 2]]
+    flat_wall = BELOW
+    spatial = np.stack([plane[:, 0], plane[:, 1], np.zeros(4)], axis=1)
+    up = NoSlipWall([0.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+    two = matrix(RPY(), Configuration(plane, a, 1.3, True, flat_wall))
+    three = matrix(RPY(), Configuration(spatial, a, 1.3, True, up))
+    keep = [3 * i + k for i in range(4) for k in (0, 1)] + [12 + 3 * i + 2 for i in range(4)]
+    assert np.abs(two - three[np.ix_(keep, keep)]).max() < 1e-16
+
+
+@pytest.mark.parametrize("radius", [1.0, None], ids=["equal", "unequal"])
+@pytest.mark.parametrize("domain", [FLOOR, SURFACE], ids=["wall", "free"])
+def test_it_is_positive_wherever_beads_may_get(domain, radius):
+    """Beads that overlap one another and the wall, deep or just; tables and products are the same."""
+    rng = np.random.default_rng(3)
+    for _ in range(12):
+        x = rng.uniform(-2, 2, (6, 3))
+        x[:, 2] = rng.uniform(0.02, 3.0, 6)
+        x[1, 2], x[2] = 0.05, x[3]  # nearly on the wall; two in one place
+        a = 1.0 if radius is not None else rng.uniform(0.3, 1.5, 6)
+        spheres = Configuration(x, a, 1.0, True, domain)
+        m = matrix(RPY(), spheres)
+        scale = np.sqrt(np.diag(m))
+        assert np.abs(m - m.T).max() < 1e-14 * m.max()
+        values = np.linalg.eigvalsh(m / scale / scale[:, None])
+        assert values[0] > -1e-14 and np.sum(values < 1e-12) <= 6  # two in one place move as one
+        tables = RPY().tables(spheres)
+        load = Load(*(jnp.asarray(y) for y in rng.normal(size=(2, 6, 3))))
+        for one, two in zip(
+            jax.tree.leaves(tables.motion(load)),
+            jax.tree.leaves(RPY().motion(spheres, load)),
+            strict=True,
+        ):
+            assert np.abs(one - two).max() < 1e-13
+
+
+def test_no_fluid_slips_at_a_wall_or_passes_a_free_surface():
+    # A tiny sphere is the fluid.
+    x = np.array([[0.2, 0.1, 1.5], [2.0, -1.0, 2.0], [0.7, 0.9, 0.0], [-3.0, 2.0, 0.0]])
+    a = np.array([1.0, 0.5, 1e-6, 1e-6])
+    rng = np.random.default_rng(4)
+    force, torque = rng.normal(size=(2, 4, 3)) * np.array([1.0, 1.0, 0.0, 0.0])[:, None]
+    load, strain = Load(jnp.asarray(force), jnp.asarray(torque)), np.zeros((4, 3, 3))
+    strain[0] = np.diag([1.0, -0.3, -0.7])
+    lifted = x + np.array([0.0, 0.0, 1e-6]) * (a < 1e-3)[:, None]
+    for domain in (FLOOR, SURFACE):
+        spheres = Configuration(lifted, a, 1.0, True, domain)
+        for moved in (RPY().motion(spheres, load), RPY().disturbance(spheres, jnp.asarray(strain))):
+            assert np.abs(moved.velocity[:2]).max() > 1e-2
+            parts = 3 if isinstance(domain, NoSlipWall) else 1
+            assert np.abs(moved.velocity[2:, 3 - parts :]).max() < 1e-5
+            if parts == 1:
+                assert np.abs(moved.velocity[2:, :2]).max() > 1e-3
+
+
+def walled(dim=2, dense=True, **terms):
+    """A bent fibre above a tilted wall, clamped, pushed and sheared."""
+    chain = Chain(1.0, 6)
+    centre = [0.0, 4.0] if dim == 2 else [0.0, 4.0, 0.3]
+    normal = [-0.3, 1.0] if dim == 2 else [-0.3, 1.0, 0.2]
+    terms = {
+        "constraints": [Gears()],
+        "forces": [Bending(20.0), Weight(np.eye(dim)[1] * -0.3), Contact(2.0, 0.5, 0.4)],
+        **terms,
+    }
+    domain = NoSlipWall([0.0] * dim, normal)
+    return Scene(chain, 1.2, RPY(dense=dense), **terms, domain=domain), bent(
+        chain, dim, centre=centre
+    )
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_an_instant_above_a_wall(dim):
+    scene, state = walled(dim, constraints=[Gears(), *clamped()])
+    reference = dense_motion(0.0, state, scene)
+    assert np.abs(flat(dynamics.motion(0.0, state, scene)) - reference).max() < 1e-12
+    free, _ = walled(dim, dense=False, constraints=[Gears(), *clamped()])
+    assert np.abs(flat(dynamics.motion(0.0, state, free)) - reference).max() < 1e-9
+
+
+def test_runs_above_a_wall_by_all_solvers():
+    scene, state = walled()
+    ts = np.linspace(0.0, 160.0, 5)
+    reference = jb.rollout(scene, state, ts, tolerance=1e-9)
+    assert reference.code == 0
+    gap = scene.domain.clearance(reference.final.position, scene.chain.radius)
+    assert 0 < gap.min() < 0.6 < gap.max()  # it has come down
+    for options in ({"substeps": 4000}, {"tolerance": 1e-6}):
+        run = jb.rollout(scene, state, ts, **options)
+        assert np.abs(run.states.position - reference.states.position).max() < 1e-4
+
+
+def test_gradients_above_a_wall():
+    scene, state = walled()
+
+    @jax.jit
+    def end(rigidity, height):
+        moved = State(state.position + height * jnp.array([[0.0, 1.0]]))
+        forces = [Bending(rigidity), *scene.forces[1:]]
+        run = Scene(scene.chain, 1.2, constraints=[Gears()], forces=forces, domain=scene.domain)
+        return jb.rollout(run, moved, [0.0, 3.0], substeps=100).final.position[0, 1]
+
+    slopes = jax.grad(end, (0, 1))(20.0, 0.0)
+    h = 1e-4
+    for k, slope in enumerate(slopes):
+        ends = [end(20.0 + s * h * (k == 0), s * h * (k == 1)) for s in (1.0, -1.0)]
+        assert abs(slope - (ends[0] - ends[1]) / (2 * h)) < 1e-7
+
+
+def test_a_bead_comes_to_rest_on_the_wall():
+    chain = Chain(1.0, 1)
+    contact = Contact(10.0, 0.1, 0.1)
+    scene = Scene(chain, 1.0, forces=[Weight([0.0, -1.0]), contact], domain=BELOW)
+    for start in (3.0, 30.0):
+        run = jb.rollout(scene, State(jnp.array([[0.0, start]])), np.linspace(0, 400 * start, 3))
+        assert run.code == 0
+        # F_0 (1/2 - gap/(2 delta)) = 1
+        assert abs(run.final.position[0, 1] - 1 - 0.1 * (1 - 2 * 1.0 / 10.0)) < 1e-5
+
+
+def test_nothing_falls_through_a_wall_without_contact():
+    scene = Scene(Chain(1.0, 1), 1.0, forces=[Weight([0.0, -1.0])], domain=BELOW)
+    run = jb.rollout(scene, State(jnp.array([[0.0, 3.0]])), np.linspace(0.0, 3000.0, 5))
+    assert run.code == 0 and 0 < run.final.position[0, 1] < 0.1
+    long = jb.rollout(scene, State(jnp.array([[0.0, 3.0]])), [0.0, 3000.0], substeps=1)
+    assert long.code == jb.Outcome.BROKEN  # a step through the wall
+    with pytest.raises(jb.SimulationError, match="bead 0 is beyond the NoSlipWall"):
+        jb.simulate(
+            scene, State(jnp.array([[0.0, 3.0]])), [0.0, 3000.0], substeps=1, progress=False
+        )
+
+
+def test_a_sphere_is_carried_along_a_wall_by_shear():
+    # Far from the wall with the fluid; torque-free spin at the fluid's.
+    wall = BELOW
+    scene = Scene(Chain(1.0, 1), 1.0, constraints=[Gears()], flow=Shear(0.5), domain=wall)
+    far = dynamics.motion(0.0, State(jnp.array([[0.0, 200.0]])), scene)
+    assert abs(far.velocity[0, 0] / 100.0 - 1) < 1e-4 and abs(far.spin[0, 0] + 0.25) < 1e-4
+    near = dynamics.motion(0.0, State(jnp.array([[0.0, 1.5]])), scene)
+    assert 0.9 < near.velocity[0, 0] / 0.75 < 0.999  # it lags behind the fluid near the wall
+
+
+WRONG = {
+    "flow that slips": (
+        {"flow": Shear(1.0), "domain": NoSlipWall([0.0, 1.0], [0.0, 1.0])},
+        "vanish",
+    ),
+    "flow through it": (
+        {"flow": Extension(1.0), "domain": BELOW},
+        "vanish",
+    ),
+    "behind it": ({"domain": NoSlipWall([0.0, 9.0], [0.0, 1.0])}, "outside"),
+    "dimensions": ({"domain": FLOOR}, "components"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_cannot_be_is_refused(case):
+    options, words = WRONG[case]
+    chain = Chain(1.0, 4)
+    scene = Scene(chain, 1.0, constraints=[Gears()], **options)
+    with pytest.raises(ValueError, match=words):
+        jb.check(scene, bent(chain, 2, centre=[0.0, 5.0]))
+
+
+def test_flows_along_a_wall_are_taken():
+    chain, wall = Chain(1.0, 4), BELOW
+    for flow in (Shear(0.7), OscillatingShear(0.7, 2.0, 0.3)):
+        jb.check(Scene(chain, 1.0, flow=flow, domain=wall), bent(chain, 2, centre=[0.0, 5.0]))
+
+
+def test_a_plane_has_a_direction():
+    with pytest.raises(ValueError, match="normal"):
+        NoSlipWall([0.0, 0.0], [0.0, 0.0])
+    with pytest.raises(ValueError, match="normal"):
+        NoSlipWall([0.0, 0.0], [0.0, 0.0, 1.0])
+    scene = Scene(Chain(1.0, 2), 1.0, FreeDraining(), domain=BELOW)
+    assert rigid_resistance(np.array([[0.0, 2.0], [2.0, 2.0]]), scene.chain, 1.0).shape == (3, 3)
