@@ -12,10 +12,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ._checks import fail
+from ._typing import float_array
 from .chain import Chain, straight
 from .configuration import Configuration
+from .domain import NoSlipWall
 from .dynamics import constraint_load, constraint_residual, motion
 from .geometry import bonds, cross, norm, tangents
+from .images import wall
 from .instant import Time, applied_load
 from .mobility import RPY, AbstractMobility
 from .scene import Scene
@@ -32,6 +35,7 @@ __all__ = [
     "orbit_period",
     "orientation",
     "power",
+    "pumping_rate",
     "rigid_resistance",
     "settling_velocity",
     "swimming_efficiency",
@@ -156,15 +160,42 @@ def power(t: Time, state: State, scene: Scene) -> Float[Array, ""]:
     """Work done on the fluid per time by all forces and torques, of the scene's terms and of its
     constraints: sum of F.v + T.w [force length/time]. In a quiescent fluid it is the dissipation."""
     moved = motion(t, state, scene)
-    load = applied_load(t, state, scene)
-    if scene.constraints:
-        load = add_loads(load, constraint_load(t, state, scene))
+    load = _all_loads(t, state, scene)
     done = jnp.zeros((), state.position.dtype)
     if load.force is not None:
         done = done + jnp.sum(load.force * moved.velocity)
     if load.torque is not None and moved.spin is not None:
         done = done + jnp.sum(load.torque * moved.spin)
     return done
+
+
+def _all_loads(t: Time, state: State, scene: Scene) -> Load:
+    """Forces and torques on the fluid, of the scene's terms and of its constraints."""
+    load = applied_load(t, state, scene)
+    return add_loads(load, constraint_load(t, state, scene)) if scene.constraints else load
+
+
+def pumping_rate(t: Time, state: State, scene: Scene, along: Any) -> Float[Array, ""]:
+    """Volume of fluid that the beads drive along a no-slip wall per time, through any plane across it
+    [length^3/time]: Q = sum of (F.d h + T.(n x d)/2) / (pi mu), for forces F at heights h, torques T,
+    and the wall's normal n.
+
+    **Arguments**: time, state and scene; `along`, the direction d on the wall, of any length. The
+    ambient flow does not count. **Raises** `ValueError` if the domain is no `NoSlipWall`.
+    """
+    if not isinstance(scene.domain, NoSlipWall):
+        fail("scene.domain", "be a NoSlipWall", f"it is {type(scene.domain).__name__}")
+    load, above = _all_loads(t, state, scene), wall(scene.configuration(state, scene.rotational))
+    n = scene.domain.direction
+    d = float_array(along)
+    d = d - jnp.dot(d, n) * n
+    d = d / jnp.sqrt(jnp.dot(d, d))
+    pushed = jnp.zeros_like(above.share)
+    if load.force is not None:
+        pushed = pushed + (load.force @ d) * above.spheres.height * above.length
+    if load.torque is not None:
+        pushed = pushed + (load.torque @ cross(n, d)) / 2
+    return jnp.sum(above.share * pushed) / (np.pi * scene.viscosity)
 
 
 def swimming_efficiency(speed: Any, mean_power: Any, scene: Scene) -> Float[Array, ""]:

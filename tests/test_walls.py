@@ -1,5 +1,8 @@
 """Half spaces: no-slip walls and free surfaces against Blake's tensor, quadrature, derived numbers."""
 
+from typing import ClassVar
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,7 +24,7 @@ from jaxbeads import (
 )
 from jaxbeads.constraint import EqualSpins, Gears, clamped
 from jaxbeads.flow import Extension, OscillatingShear, Shear
-from jaxbeads.force import Bending, Contact, Weight
+from jaxbeads.force import AbstractForce, Bending, Contact, Weight
 from jaxbeads.mobility import RPY, FreeDraining
 from jaxbeads.observables import rigid_resistance
 
@@ -146,6 +149,17 @@ def test_closed_derivatives_are_those_of_the_flow():
             mine, other = getattr(found, name), getattr(expected, name)
             for a, b in zip(mine or [0.0] * 3, other, strict=True):
                 assert np.abs(a - b).max() < 1e-13, name
+
+
+class Loaded(AbstractForce):
+    """A force and a torque on the first bead."""
+
+    rotational: ClassVar[bool] = True
+    force: jax.Array = eqx.field(converter=jnp.asarray)
+    torque: jax.Array = eqx.field(converter=jnp.asarray)
+
+    def load(self, t, state, scene):
+        return Load(self.force[None], self.torque[None])
 
 
 HEIGHTS = [10.07, 3.762, 2.352, 1.543, 1.128]
@@ -402,3 +416,46 @@ def test_a_plane_has_a_direction():
         NoSlipWall([0.0, 0.0], [0.0, 0.0, 1.0])
     scene = Scene(Chain(1.0, 2), 1.0, FreeDraining(), domain=BELOW)
     assert rigid_resistance(np.array([[0.0, 2.0], [2.0, 2.0]]), scene.chain, 1.0).shape == (3, 3)
+
+
+@pytest.mark.parametrize("turned", [0.0, 1.1])
+def test_pumped_volume_is_the_flux_through_a_plane(turned):
+    # Of the flow that a force and a torque drive, at tiny spheres all over the plane.
+    force, torque, mu = np.array([0.7, 0.2, -0.4]), np.array([0.3, 0.9, -0.2]), 0.7
+    c, s = np.cos(turned), np.sin(turned)
+    d, across = np.array([c, s, 0.0]), np.array([-s, c, 0.0])
+    nodes, w = np.polynomial.legendre.leggauss(160)
+    y, wy = np.tan(np.pi / 2 * nodes), w * np.pi / 2 / np.cos(np.pi / 2 * nodes) ** 2
+    half = np.pi / 4 * (nodes + 1)
+    z, wz = np.tan(half), w * np.pi / 4 / np.cos(half) ** 2
+    source = np.array([0.0, 0.0, 1.3])
+    y, z, weight = (x.ravel() for x in (*np.meshgrid(y, z, indexing="ij"), np.outer(wy, wz)))
+    points = 1.5 * d + y[:, None] * across + z[:, None] * np.array([0.0, 0.0, 1.0])
+    load = Load(*(jnp.asarray(np.stack([x, 0 * x])) for x in (force, torque)))
+
+    @jax.jit
+    @jax.vmap
+    def velocity(point):
+        spheres = Configuration(jnp.stack([source, point]), jnp.array([1.0, 1e-6]), mu, True, FLOOR)
+        return RPY().motion(spheres, load).velocity[1]
+
+    flux = weight @ (np.asarray(velocity(jnp.asarray(points))) @ d)
+    scene = Scene(
+        Chain(1.0, 1), mu, constraints=[Gears()], forces=[Loaded(force, torque)], domain=FLOOR
+    )
+    found = jb.observables.pumping_rate(0.0, State(jnp.asarray(source[None])), scene, 3.0 * d)
+    assert abs(found - flux) < 3e-4 * abs(flux)
+    with pytest.raises(ValueError, match="NoSlipWall"):
+        free = Scene(Chain(1.0, 1), mu, forces=[Weight([0.0, 0.0, 1.0])])
+        jb.observables.pumping_rate(0.0, State(jnp.asarray(source[None])), free, d)
+
+
+def test_pumping_in_the_plane_is_that_in_space():
+    scene, state = walled(2)
+    flat_rate = jb.observables.pumping_rate(0.0, state, scene, [1.0, 0.3])
+    normal = NoSlipWall([0.0] * 3, [-0.3, 1.0, 0.0])
+    forces = [Bending(20.0), Weight([0.0, -0.3, 0.0]), Contact(2.0, 0.5, 0.4)]
+    spatial = Scene(scene.chain, 1.2, constraints=[Gears()], forces=forces, domain=normal)
+    lifted = State(jnp.pad(state.position, ((0, 0), (0, 1))))
+    rate = jb.observables.pumping_rate(0.0, lifted, spatial, [1.0, 0.3, 0.0])
+    assert abs(rate - flat_rate) < 1e-12 * abs(rate)
