@@ -17,7 +17,7 @@ from .rollout import Solver, rollout, solver_for
 from .scene import Scene, check
 from .solver import AbstractSolver
 from .state import State
-from .steady import Pair, Problem, Shape, generators, or_nothing, refuse, root
+from .steady import Pair, Problem, Shape, generators, or_nothing, refuse, refuse_freedom, root
 
 _STEPS = 200  # in a period, unless told otherwise
 
@@ -95,6 +95,8 @@ def periodic_state(
     none is found (under `jit`, which cannot raise, `converged` is false and the numbers are NaN).
     """
     check(scene, state)
+    refuse_freedom(scene, "moving", moving, "translation")
+    refuse_freedom(scene, "turning", turning, "rotation")
     state = scene.begin(state)
     positive("period", period)
     positive("accuracy", accuracy)

@@ -11,7 +11,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from . import carried
-from ._checks import known, positive, whole
+from ._checks import fail, known, positive, whole
 from ._typing import with_all_digits
 from .coordinates import AbstractCoordinates, coordinates
 from .faults import REMEDY, not_finite, not_smooth
@@ -245,6 +245,13 @@ def or_nothing(found: Array, result: _Result) -> _Result:
     return jax.tree.map(lambda x: x if x.dtype == bool else jnp.where(found, x, jnp.nan), result)
 
 
+def refuse_freedom(scene: Scene, name: str, free: bool, symmetry: str) -> None:
+    """Refuse a freedom of the whole that makes a difference in the scene's domain."""
+    if free and symmetry not in scene.domain.symmetries:
+        how = f"a {symmetry} of the whole makes a difference there"
+        fail(name, f"be False in the domain {type(scene.domain).__name__}", f"it is True: {how}")
+
+
 def refuse(t: float, state: State, scene: Scene, what: str, derivatives: bool = True) -> None:
     """Name the term that keeps a search from going on at a state, if there is one."""
     fault = not_finite(t, state, scene)
@@ -288,6 +295,7 @@ def steady_state(
     none is found (under `jit`, which cannot raise, `converged` is false and the numbers are NaN).
     """
     check(scene, state)
+    refuse_freedom(scene, "moving", moving, "translation")
     state = scene.begin(state)
     positive("tolerance", tolerance)
     whole("max_steps", max_steps, 1)

@@ -10,7 +10,18 @@ import pytest
 from cases import FORCES, bent, jointed, scene
 
 import jaxbeads as jb
-from jaxbeads import AB3, Chain, Scene, Setting, SimulationError, State, dynamics, rollout, simulate
+from jaxbeads import (
+    AB3,
+    Chain,
+    NoSlipWall,
+    Scene,
+    Setting,
+    SimulationError,
+    State,
+    dynamics,
+    rollout,
+    simulate,
+)
 from jaxbeads.actuation import PlanarBeat, TravellingWave
 from jaxbeads.breakdown import explain
 from jaxbeads.constraint import (
@@ -93,7 +104,17 @@ def draining():
     )
 
 
-EXAMPLES = [swimmers, joints, held, spun, springs, draining]
+def walled():
+    """Above a tilted wall, in shear along it, near enough to touch."""
+    chain = Chain([1.0, 0.8, 1.2, 1.0], 4)
+    wall = NoSlipWall([0.0, 0.0], [-0.3, 1.0])
+    forces = [Bending(20.0), Weight([0.1, -0.4]), Contact(5.0, 2.5, 1.0)]
+    flow = jb.flow.LinearFlow(0.3 * np.outer([1.0, 0.3], [-0.3, 1.0]))
+    options = {"constraints": [Gears()], "forces": forces, "flow": flow, "domain": wall}
+    return Scene(chain, 1.2, **options), bent(chain, 2, centre=[0.0, 3.0])
+
+
+EXAMPLES = [swimmers, joints, held, spun, springs, draining, walled]
 
 
 @pytest.mark.parametrize("example", EXAMPLES)

@@ -459,3 +459,72 @@ def test_pumping_in_the_plane_is_that_in_space():
     lifted = State(jnp.pad(state.position, ((0, 0), (0, 1))))
     rate = jb.observables.pumping_rate(0.0, lifted, spatial, [1.0, 0.3, 0.0])
     assert abs(rate - flat_rate) < 1e-12 * abs(rate)
+
+
+@pytest.mark.parametrize("domain", [NoSlipWall, FreeSurface])
+def test_units_and_single_precision(domain):
+    # Micrometres in water, in float64 to rounding and in float32 to its.
+    rng = np.random.default_rng(5)
+    x, a = rng.uniform(-2, 2, (4, 3)) + np.array([0.0, 0.0, 3.0]), np.array([1.0, 0.7, 0.5, 1.2])
+    x[0, 2] = 0.6  # overlaps the wall
+    force, torque = rng.normal(size=(2, 4, 3))
+    strain = np.diag([1.0, -0.4, -0.6])
+    length, mu = 1e-6, 1e-3
+
+    def moved(scale, viscosity, dtype):
+        cast = jax.tree.map(lambda y: jnp.asarray(y, dtype), (x * scale, a * scale, viscosity))
+        wall = domain(jnp.zeros(3, dtype), jnp.asarray([0.0, 0.0, 1.0], dtype))
+        spheres = Configuration(*cast, True, wall)
+        load = Load(
+            jnp.asarray(force * scale * scale * viscosity, dtype),
+            jnp.asarray(torque * scale**3 * viscosity, dtype),
+        )
+        both = RPY().motion(spheres, load), RPY().disturbance(spheres, jnp.asarray(strain, dtype))
+        return [np.asarray(m.velocity) / scale for m in both] + [np.asarray(m.spin) for m in both]
+
+    plain, small = moved(1.0, 1.0, jnp.float64), moved(length, mu, jnp.float64)
+    single = moved(length, mu, jnp.float32)
+    for one, two, three in zip(plain, small, single, strict=True):
+        assert np.abs(one - two).max() < 1e-12 * np.abs(one).max()
+        assert three.dtype == np.float32
+        assert np.abs(one - three).max() < 2e-5 * np.abs(one).max()
+
+
+@pytest.mark.parametrize("platform", ["cuda", "tpu"])
+def test_it_lowers_for_accelerators(platform):
+    scene, state = walled()
+    run = jax.jit(lambda state: jb.rollout(scene, state, [0.0, 1.0], substeps=4).final.position)
+    assert jax.export.export(run, platforms=[platform])(state).platforms == (platform,)
+
+
+def test_members_of_a_batch_have_walls_of_their_own():
+    scene, state = walled()
+    heights = jnp.array([0.0, -1.0, -2.0])
+
+    @jax.jit
+    def velocity(height):
+        wall = NoSlipWall(jnp.stack([0.0 * height, height]), scene.domain.normal)
+        there = eqx.tree_at(lambda s: s.domain, scene, wall)
+        return dynamics.motion(0.0, state, there).velocity
+
+    together = jax.vmap(velocity)(heights)
+    for height, found in zip(heights, together, strict=True):
+        assert np.abs(found - velocity(height)).max() < 1e-14
+
+
+def test_steady_and_periodic_shapes_stand_still_above_a_wall():
+    scene, state = walled(
+        constraints=[Gears(), *clamped()], forces=[Bending(20.0), Weight([0.0, -0.05])]
+    )
+    with pytest.raises(ValueError, match=r"moving.*a translation of the whole"):
+        jb.steady_state(scene, state)
+    with pytest.raises(ValueError, match=r"moving.*a translation of the whole"):
+        jb.periodic_state(scene, state, 1.0)
+    with pytest.raises(ValueError, match="turning"):
+        jb.periodic_state(scene, state, 1.0, moving=False)
+    found = jb.steady_state(scene, state, moving=False)
+    moved = dynamics.motion(0.0, found.state, scene)
+    assert found.converged and np.abs(moved.velocity).max() < 1e-10
+    terms = {"constraints": scene.constraints, "forces": scene.forces}
+    free = jb.steady_state(Scene(scene.chain, 1.2, **terms), state, moving=False)
+    assert np.abs(free.state.position - found.state.position).max() < 1e-6  # at rest nothing flows
