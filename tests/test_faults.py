@@ -58,9 +58,9 @@ def start_of_law(t):
 class Kinked(FreeDraining):
     """A mobility whose derivative is not finite where a bead is at the origin."""
 
-    def motion(self, position, radius, viscosity, rotational, load):
-        moved = super().motion(position, radius, viscosity, rotational, load)
-        extra = 1 + 0 * jnp.linalg.norm(position, axis=1, keepdims=True)
+    def motion(self, configuration, load):
+        moved = super().motion(configuration, load)
+        extra = 1 + 0 * jnp.linalg.norm(configuration.position, axis=1, keepdims=True)
         return Motion(moved.velocity * extra, moved.spin)
 
 
