@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -106,32 +107,52 @@ class AbstractHalfSpace(AbstractDomain):
 _PLACES = np.random.default_rng(0).uniform(-1.0, 1.0, (16, 3)) * np.logspace(-1, 2, 16)[:, None]
 
 
+def _refuse_flow(
+    plane: AbstractHalfSpace, name: str, slips: Callable[[Array, Array], Array]
+) -> None:
+    """Refuse a flow of which something does not vanish at some points of a plane, for some time, as it
+    does not one unit of length above them."""
+    if not known((plane.point, plane.normal)):
+        return
+    normal = plane.direction
+    places = jnp.asarray(_PLACES[:, : len(normal)], normal.dtype)
+    on = places - jnp.sum(places * normal[None], axis=1, keepdims=True) * normal[None]
+    for t, x in zip(np.linspace(0.0, 7.0, len(on)), on, strict=True):
+        points = plane.point + x, plane.point + x + normal
+        found = [slips(jnp.asarray(t, x.dtype), point) for point in points]
+        if not known(found):
+            return
+        at, above = (float(np.abs(np.asarray(u)).max()) for u in found)
+        if at > 1e-9 * above:
+            place = ", ".join(f"{c:.3g}" for c in np.asarray(points[0]))
+            must = f"be one that a {type(plane).__name__} lets be"
+            fail(f"scene.flow ({name})", must, f"it slips or pushes at ({place}), t = {t:.3g}")
+
+
 class NoSlipWall(AbstractHalfSpace):
     """A plane to which the fluid sticks, as of glass: `NoSlipWall([0, 0], [0, 1])` is the fluid above
     y = 0. Ambient flows must vanish at it."""
 
     def check_flow(self, name: str, velocity: Callable[[Array, Array], Array], dim: int) -> None:
-        """Refuse a flow that does not vanish at some points of the wall, for some time."""
-        if not known((self.point, self.normal)):
-            return
-        places = jnp.asarray(_PLACES[:, :dim], self.point.dtype)
-        normal = self.direction
-        on = places - jnp.sum(places * normal[None], axis=1, keepdims=True) * normal[None]
-        for t, x in zip(np.linspace(0.0, 7.0, len(on)), on, strict=True):
-            points = self.point + x, self.point + x + normal
-            speeds = [velocity(jnp.asarray(t, x.dtype), point) for point in points]
-            if not known(speeds):
-                return
-            at, above = (float(np.abs(np.asarray(u)).max()) for u in speeds)
-            if at > 1e-9 * max(above, float(np.abs(np.asarray(x)).max()) * 1e-3 * above, at * 1e-6):
-                place = ", ".join(f"{c:.3g}" for c in np.asarray(self.point + x))
-                must = "vanish at the wall of a `NoSlipWall`"
-                fail(
-                    f"scene.flow ({name})",
-                    must,
-                    f"at ({place}) its speed is {at:.3g} (t = {t:.3g})",
-                )
+        """Refuse a flow that does not vanish at the wall."""
+        _refuse_flow(self, name, velocity)
 
 
 class FreeSurface(AbstractHalfSpace):
-    """A flat surface without friction, as of water under air, which nothing bends."""
+    """A flat surface without friction, as of water under air, which nothing bends. Ambient flows must
+    neither cross nor shear it."""
+
+    def check_flow(self, name: str, velocity: Callable[[Array, Array], Array], dim: int) -> None:
+        """Refuse a flow with a velocity across the surface, or a shear stress at it."""
+        n = self.direction
+
+        def across(t: Array, x: Array) -> Array:
+            return velocity(t, x) @ n
+
+        def stress(t: Array, x: Array) -> Array:
+            gradient = jax.jacfwd(lambda x: velocity(t, x))(x)
+            pull = (gradient + gradient.T) @ n
+            return pull - (pull @ n) * n
+
+        _refuse_flow(self, name, across)
+        _refuse_flow(self, name, stress)

@@ -23,13 +23,14 @@ from jaxbeads import (
     images,
 )
 from jaxbeads.constraint import EqualSpins, Gears, clamped
-from jaxbeads.flow import Extension, OscillatingShear, Shear
+from jaxbeads.flow import Extension, OscillatingShear, Poiseuille, Shear
 from jaxbeads.force import AbstractForce, Bending, Contact, Weight
 from jaxbeads.mobility import RPY, FreeDraining
 from jaxbeads.observables import rigid_resistance
 
 FLOOR = NoSlipWall([0.0, 0.0, 0.0], [0.0, 0.0, 1.0])
 SURFACE = FreeSurface([0.0, 0.0, 0.0], [0.0, 0.0, 1.0])
+OPEN, ASIDE = (FreeSurface([0.0, 0.0], n) for n in ([0.0, 1.0], [1.0, 0.0]))
 BELOW = NoSlipWall([0.0, 0.0], [0.0, 1.0])  # in the plane
 SIX = 6 * np.pi
 
@@ -383,11 +384,16 @@ def test_a_sphere_is_carried_along_a_wall_by_shear():
 WRONG = {
     "flow that slips": (
         {"flow": Shear(1.0), "domain": NoSlipWall([0.0, 1.0], [0.0, 1.0])},
-        "vanish",
+        "NoSlipWall lets be",
     ),
     "flow through it": (
         {"flow": Extension(1.0), "domain": BELOW},
-        "vanish",
+        "NoSlipWall lets be",
+    ),
+    "shear at a surface": ({"flow": Shear(1.0), "domain": OPEN}, "FreeSurface lets be"),
+    "flow through a surface": (
+        {"flow": Poiseuille(1.0, 5.0), "domain": ASIDE},
+        "FreeSurface lets be",
     ),
     "behind it": ({"domain": NoSlipWall([0.0, 9.0], [0.0, 1.0])}, "outside"),
     "dimensions": ({"domain": FLOOR}, "components"),
@@ -405,8 +411,14 @@ def test_what_cannot_be_is_refused(case):
 
 def test_flows_along_a_wall_are_taken():
     chain, wall = Chain(1.0, 4), BELOW
-    for flow in (Shear(0.7), OscillatingShear(0.7, 2.0, 0.3)):
-        jb.check(Scene(chain, 1.0, flow=flow, domain=wall), bent(chain, 2, centre=[0.0, 5.0]))
+    for flow, domain in (
+        (Shear(0.7), wall),
+        (OscillatingShear(0.7, 2.0, 0.3), wall),
+        (Extension(0.4), OPEN),
+        (Poiseuille(1.0, 5.0), OPEN),
+        (Poiseuille(1.0, 5.0), NoSlipWall([0.0, -5.0], [0.0, 1.0])),
+    ):
+        jb.check(Scene(chain, 1.0, flow=flow, domain=domain), bent(chain, 2, centre=[0.0, 5.0]))
 
 
 def test_a_plane_has_a_direction():
