@@ -56,7 +56,7 @@ def dense_velocity(scene: jb.Scene, state: jb.State) -> np.ndarray:
     def unpack(x: jax.Array) -> tuple[jax.Array, jax.Array]:
         return x[: beads * dim].reshape(beads, dim), x[beads * dim :].reshape(beads, turns)
 
-    operator = scene.operator(state)
+    operator = scene.operator(state).kept()
     size = beads * (dim + turns)
     mobility = np.asarray(
         jax.vmap(lambda u: pack(operator.motion(jb.Load(*unpack(u)))))(jnp.eye(size))
