@@ -94,21 +94,6 @@ class _Own(AbstractPart):
         """None by the motion: `Scene.own_rate` adds theirs."""
         return jax.tree.map(jnp.zeros_like, value)
 
-    def size(self, value: Any) -> int:
-        """How many numbers a change of it takes."""
-        return ravel_pytree(value)[0].size
-
-    def retract(self, value: Any, numbers: Float[Array, " numbers"]) -> Any:
-        """What is near the value by so much: their sum, and the value itself at 0."""
-        flat, whole = ravel_pytree(value)
-        return whole(flat + numbers)
-
-    def numbers_rate(
-        self, value: Any, numbers: Float[Array, " numbers"], rate: Any
-    ) -> Float[Array, " numbers"]:
-        """Rate of the numbers of `retract` where what they lead to changes at a rate."""
-        return ravel_pytree(rate)[0]
-
     def off(self, error: Any, arm: Float[Array, ""]) -> Float[Array, ""]:
         """Numbers of order one."""
         return arm * jnp.max(jnp.abs(ravel_pytree(error)[0]), initial=0.0)

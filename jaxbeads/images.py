@@ -35,9 +35,8 @@ _AXES = ((1, 2), (2, 0), (0, 1))
 
 
 def _times(*factors: Component | float) -> Component:
-    if any(x is None for x in factors):
-        return None
-    return reduce(lambda x, y: x * y, factors)  # type: ignore[operator]
+    there = [x for x in factors if x is not None]
+    return reduce(jnp.multiply, there) if len(there) == len(factors) else None
 
 
 def _plus(*terms: Component) -> Component:
