@@ -24,10 +24,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from . import tensors
 from .configuration import Configuration
 from .domain import NoSlipWall
-from .pairs import PairTensor, Signed, pair_sums, separations
-from .state import Load, Motion, spins
+from .pairs import PairTensor, Signed, added, pair_sums, separations
+from .state import Load, Motion, add_motions, spins
 
 Component = Array | None
 Vector = Sequence[Component]
@@ -35,8 +36,12 @@ _AXES = ((1, 2), (2, 0), (0, 1))
 
 
 def _times(*factors: Component | float) -> Component:
-    there = [x for x in factors if x is not None]
-    return reduce(jnp.multiply, there) if len(there) == len(factors) else None
+    product: Component = None
+    for factor in factors:
+        if factor is None:
+            return None
+        product = jnp.asarray(factor) if product is None else product * factor
+    return product
 
 
 def _plus(*terms: Component) -> Component:
@@ -360,21 +365,24 @@ def wall(configuration: Configuration) -> Wall:
     return Wall(lifted, scaled.length, normal, components, spheres, share)
 
 
-def added(one: PairTensor, other: PairTensor) -> PairTensor:
-    """The sum of two mobilities as tables."""
+def motion(configuration: Configuration, load: Load) -> Motion:
+    """M F near a no-slip wall."""
+    here = wall(configuration)
+    load = here.slowed(load)
+    free = tensors.rpy_motion(here.configuration, load)
+    return here.slowed(add_motions(free, here.motion(load)))
 
-    def signed(a: Signed | None, b: Signed | None) -> Signed | None:
-        there = [x.sign * x.field for x in (a, b) if x is not None]
-        return Signed(reduce(jnp.add, there)) if there else None
 
-    def tables(a: tuple, b: tuple, join: Callable) -> tuple:
-        return tuple(
-            tuple(join(x, y) for x, y in zip(p, q, strict=True)) for p, q in zip(a, b, strict=True)
-        )
+def disturbance(
+    configuration: Configuration, strain_rate: Float[Array, "*beads dim dim"]
+) -> Motion:
+    """C : E near a no-slip wall."""
+    here = wall(configuration)
+    free = tensors.shear_disturbance(here.configuration, strain_rate)
+    return here.slowed(add_motions(free, here.disturbance(strain_rate)))
 
-    return PairTensor(
-        tables(one.tt, other.tt, jnp.add),
-        tables(one.tr, other.tr, signed),
-        tables(one.rt, other.rt, signed),
-        tables(one.rr, other.rr, jnp.add),
-    )
+
+def tables(configuration: Configuration) -> PairTensor:
+    """M near a no-slip wall, as fields."""
+    here = wall(configuration)
+    return here.slowed_tables(added(tensors.rpy(here.configuration), here.tables()))

@@ -12,9 +12,9 @@ from jaxtyping import Array, Float
 
 from .configuration import Configuration
 from .domain import AbstractHalfSpace
-from .pairs import Field, PairTensor, Radii, Signed, pair_sums, radii_of, separations
-from .state import Load, Motion, spins
-from .tensors import as_motion, pushed, strained
+from .pairs import Field, PairTensor, Radii, Signed, added, pair_sums, radii_of, separations
+from .state import Load, Motion, add_motions, spins
+from .tensors import as_motion, pushed, rpy, rpy_motion, shear_disturbance, strained
 
 
 def _mirror(configuration: Configuration) -> tuple[Array, Array]:
@@ -54,7 +54,7 @@ def _mirrored_load(load: Load, mirror: Array) -> Load:
     return Load(None if load.force is None else load.force @ mirror, torque)
 
 
-def motion(configuration: Configuration, load: Load) -> Motion:
+def _motion(configuration: Configuration, load: Load) -> Motion:
     """What a free surface adds to M F: the mirror images of the spheres with the mirrored loads."""
     length, mirror = configuration.scaled.length, _mirror(configuration)[1]
     viscosity, rotational = configuration.viscosity, configuration.rotational
@@ -64,7 +64,7 @@ def motion(configuration: Configuration, load: Load) -> Motion:
     )
 
 
-def tables(configuration: Configuration) -> PairTensor:
+def _tables(configuration: Configuration) -> PairTensor:
     """What it adds to M, as fields."""
     scaled, (images, mirror) = configuration.scaled, _mirror(configuration)
     vector = separations(scaled.position, images / scaled.length)
@@ -87,7 +87,7 @@ def tables(configuration: Configuration) -> PairTensor:
     return PairTensor(tt, tr, rt, tuple(tuple(c[dim + i] for c in by_torque) for i in range(turns)))
 
 
-def disturbance(
+def _disturbance(
     configuration: Configuration, strain_rate: Float[Array, "*beads dim dim"]
 ) -> Motion:
     """What it adds to C : E."""
@@ -96,3 +96,21 @@ def disturbance(
     return _from_images(
         configuration, lambda d, radii: strained(d, radii, length, rate, rotational)
     )
+
+
+def motion(configuration: Configuration, load: Load) -> Motion:
+    """M F below or above a free surface."""
+    return add_motions(rpy_motion(configuration, load), _motion(configuration, load))
+
+
+def disturbance(
+    configuration: Configuration, strain_rate: Float[Array, "*beads dim dim"]
+) -> Motion:
+    """C : E there."""
+    free = shear_disturbance(configuration, strain_rate)
+    return add_motions(free, _disturbance(configuration, strain_rate))
+
+
+def tables(configuration: Configuration) -> PairTensor:
+    """M there, as fields."""
+    return added(rpy(configuration), _tables(configuration))

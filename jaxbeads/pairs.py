@@ -5,6 +5,7 @@ As tables the mobility of a planar scene is 6 fields, that of a spatial one 15.
 """
 
 from collections.abc import Callable, Sequence
+from functools import reduce
 from typing import Any
 
 import equinox as eqx
@@ -148,3 +149,23 @@ def _products(
         ]
         rows.append(sum(terms[1:], start=terms[0]))
     return jnp.stack(rows, axis=1)
+
+
+def added(one: PairTensor, other: PairTensor) -> PairTensor:
+    """The sum of two mobilities as tables."""
+
+    def signed(a: Signed | None, b: Signed | None) -> Signed | None:
+        there = [x.sign * x.field for x in (a, b) if x is not None]
+        return Signed(reduce(jnp.add, there)) if there else None
+
+    def tables(a: tuple, b: tuple, join: Callable) -> tuple:
+        return tuple(
+            tuple(join(x, y) for x, y in zip(p, q, strict=True)) for p, q in zip(a, b, strict=True)
+        )
+
+    return PairTensor(
+        tables(one.tt, other.tt, jnp.add),
+        tables(one.tr, other.tr, signed),
+        tables(one.rt, other.rt, signed),
+        tables(one.rr, other.rr, jnp.add),
+    )

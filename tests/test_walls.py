@@ -540,3 +540,12 @@ def test_steady_and_periodic_shapes_stand_still_above_a_wall():
     terms = {"constraints": scene.constraints, "forces": scene.forces}
     free = jb.steady_state(Scene(scene.chain, 1.2, **terms), state, moving=False)
     assert np.abs(free.state.position - found.state.position).max() < 1e-6  # at rest nothing flows
+
+
+def test_a_wall_of_a_users_own_kind_is_a_wall():
+    class Glass(NoSlipWall):
+        pass
+
+    x, up = [[0.0, 0.0, 1.5]], [0.0, 0.0, 1.0]
+    found = matrix(RPY(), Configuration(x, 1.0, 1.0, True, Glass([0.0] * 3, up)))
+    assert np.array_equal(found, matrix(RPY(), Configuration(x, 1.0, 1.0, True, FLOOR)))

@@ -1,6 +1,7 @@
 """Rotne-Prager-Yamakawa: the beads' far-field interactions, regular at any distance."""
 
-from typing import ClassVar
+from collections.abc import Callable
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 from jaxtyping import Array, Float
@@ -9,8 +10,30 @@ from .. import images, mirror, tensors
 from ..configuration import Configuration
 from ..domain import AbstractDomain, FreeSurface, NoSlipWall, Unbounded
 from ..pairs import PairTensor
-from ..state import Load, Motion, add_motions
+from ..state import Load, Motion
 from .base import MOST_DENSE, AbstractMobility, Strain
+
+
+class _Form(NamedTuple):
+    """The sums over pairs in one kind of domain."""
+
+    motion: Callable[[Configuration, Load], Motion]
+    disturbance: Callable[[Configuration, Array], Motion]
+    tables: Callable[[Configuration], PairTensor]
+
+
+_FREE = _Form(tensors.rpy_motion, tensors.shear_disturbance, tensors.rpy)
+_FORMS: dict[type[AbstractDomain], _Form] = {
+    Unbounded: _FREE,
+    NoSlipWall: _Form(images.motion, images.disturbance, images.tables),
+    FreeSurface: _Form(mirror.motion, mirror.disturbance, mirror.tables),
+}
+"""A new domain is a line here."""
+
+
+def _form(configuration: Configuration) -> _Form:
+    fitting = (form for kind, form in _FORMS.items() if isinstance(configuration.domain, kind))
+    return next(fitting, _FREE)
 
 
 class RPY(AbstractMobility):
@@ -32,7 +55,7 @@ class RPY(AbstractMobility):
     """
 
     tabulated: ClassVar[bool] = True
-    domains: ClassVar[tuple[type[AbstractDomain], ...]] = (Unbounded, NoSlipWall, FreeSurface)
+    domains: ClassVar[tuple[type[AbstractDomain], ...]] = tuple(_FORMS)
     strained: bool = eqx.field(static=True, default=True)
     dense: bool | None = eqx.field(static=True, default=None)
 
@@ -42,40 +65,19 @@ class RPY(AbstractMobility):
 
     def motion(self, configuration: Configuration, load: Load) -> Motion:
         """M F, pair by pair."""
-        if isinstance(configuration.domain, NoSlipWall):
-            wall = images.wall(configuration)
-            load = wall.slowed(load)
-            free = tensors.rpy_motion(wall.configuration, load)
-            return wall.slowed(add_motions(free, wall.motion(load)))
-        motion = tensors.rpy_motion(configuration, load)
-        if isinstance(configuration.domain, FreeSurface):
-            motion = add_motions(motion, mirror.motion(configuration, load))
-        return motion
+        return _form(configuration).motion(configuration, load)
 
     def disturbance(
         self, configuration: Configuration, strain_rate: Float[Array, "*beads dim dim"]
     ) -> Motion | None:
         """C : E."""
-        if not self.strained:
-            return None
-        if isinstance(configuration.domain, NoSlipWall):
-            wall = images.wall(configuration)
-            free = tensors.shear_disturbance(wall.configuration, strain_rate)
-            return wall.slowed(add_motions(free, wall.disturbance(strain_rate)))
-        carried = tensors.shear_disturbance(configuration, strain_rate)
-        if isinstance(configuration.domain, FreeSurface):
-            carried = add_motions(carried, mirror.disturbance(configuration, strain_rate))
-        return carried
+        return (
+            _form(configuration).disturbance(configuration, strain_rate) if self.strained else None
+        )
 
     def tables(self, configuration: Configuration) -> PairTensor:
         """All pair tensors as `(beads, beads)` fields."""
-        if isinstance(configuration.domain, NoSlipWall):
-            wall = images.wall(configuration)
-            return wall.slowed_tables(images.added(tensors.rpy(wall.configuration), wall.tables()))
-        tables = tensors.rpy(configuration)
-        if isinstance(configuration.domain, FreeSurface):
-            tables = images.added(tables, mirror.tables(configuration))
-        return tables
+        return _form(configuration).tables(configuration)
 
     def gradient(
         self,
@@ -88,6 +90,6 @@ class RPY(AbstractMobility):
         strain = strain if self.strained else None
         if load.force is None and load.torque is None and strain is None:
             return None
-        if not isinstance(configuration.domain, Unbounded):
+        if _form(configuration) is not _FREE:
             return super().gradient(configuration, load, strain, shifts)
         return tensors.rpy_gradient(configuration, load, strain, shifts)
