@@ -31,7 +31,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     scenes = parser.add_subparsers(dest="scene", metavar="SCENE")
     for ready in SCENES:
-        sub = scenes.add_parser(ready.name, help=ready.summary, description=ready.summary)
+        sub = scenes.add_parser(
+            ready.name,
+            help=ready.summary,
+            description=ready.summary,
+            epilog=_meanings(ready),
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
         defaults = inspect.signature(ready.build).parameters
         for option, text in ready.options.items():
             _add_option(sub, option, defaults[option].default, text)
@@ -56,6 +62,14 @@ def _parser() -> argparse.ArgumentParser:
             help="neither use nor keep compiled programs in the user's cache folder",
         )
     return parser
+
+
+def _meanings(ready: ReadyMade) -> str:
+    """What follows the options in a scene's help: its results, and a run of seconds."""
+    width = max(map(len, ready.results))
+    results = (f"  {name:<{width}}  {text}" for name, text in ready.results.items())
+    example = f"python -m jaxbeads {ready.name} {ready.quick}"
+    return "\n".join(["results:", *results, "", f"a quick example: {example}"])
 
 
 def _add_option(parser: argparse.ArgumentParser, option: str, default: Any, text: str) -> None:

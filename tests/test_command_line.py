@@ -15,26 +15,7 @@ from jaxbeads.__main__ import main
 from jaxbeads.scenes import MODELS, SCENES
 
 RUN = {"status", "wall_s", "compile_s", "steps", "constraint_residual", "bond_length_error"}
-# Options with which a scene is quick (a stiff fibre is steady soon), and its observables.
-QUICK = {
-    "jeffery": ("--beads 4 --model joint", {"period"}),
-    "shear": ("--beads 5 --bending-ratio 0.1 --model joint", {"min_radius"}),
-    "settling": (
-        "--beads 5 --elasto-gravitational 0.1",
-        {"deflection", "friction_ratio", "tilt"},
-    ),
-    "relaxation": ("--beads 5 --mode 2", {"rate"}),
-    "planar-beating": (
-        "--beads 5 --sperm-number 1.5",
-        {"amplitude", "tip_phase", "thrust"},
-    ),
-    "helical-beating": ("--beads 5 --sperm-number 1.5", {"tip_distance"}),
-    "follower-force": ("--beads 6 --force 70.0", {"growth_rate", "flaps"}),
-    "nematode": ("--beads 7", {"speed", "efficiency"}),
-    "nematode-pair": ("--beads 7 --distance 0.8 --antiphase", {"speed_ratio"}),
-    "spiral": ("--beads 7 --frequency 10.0", {"speed", "rotation"}),
-    "three-sphere": ("--separation 20.0 --stroke 0.2", {"displacement", "theory_ratio"}),
-}
+BY_NAME = {ready.name: ready for ready in SCENES}
 
 
 def python_options(words):
@@ -73,14 +54,13 @@ def test_without_arguments_scenes_are_listed(capsys):
 
 @pytest.mark.parametrize("ready", SCENES, ids=lambda ready: ready.name)
 def test_results_as_json(ready, shell):
-    options, observables = QUICK[ready.name]
-    lines, results = shell(f"{ready.name} {options}")
-    assert set(results) == observables | RUN
+    lines, results = shell(f"{ready.name} {ready.quick}")
+    assert set(results) == set(ready.results) | RUN
     assert results.pop("status") in ("finished", "stopped by `until`")
     assert all(np.all(np.isfinite(value)) for value in results.values())
     assert results["steps"] > 0 and results["wall_s"] > 0 and results["compile_s"] >= 0
     assert results["constraint_residual"] < 1e-12 and results["bond_length_error"] < 0.01
-    for name in observables:  # for people, too
+    for name in ready.results:  # for people, too
         (line,) = (line for line in lines[:-1] if line.split()[0] == name)
         shown, value = line.split()[1:], results[name]
         if isinstance(value, bool):
@@ -88,14 +68,14 @@ def test_results_as_json(ready, shell):
         else:
             assert np.allclose(np.array(shown, float), value, rtol=1e-5)
     # The same run from Python.
-    case = ready.build(**python_options(options.split()))
+    case = ready.build(**python_options(ready.quick.split()))
     expected = ready.observables(case, case.simulate(progress=False))
     assert expected == {name: results[name] for name in observables}
 
 
 def test_settling_of_a_stiff_fibre(shell):
     # A stiff fibre falls as a rigid one. Not so for an even number of beads: they counter-rotate.
-    _, results = shell("settling " + QUICK["settling"][0])
+    _, results = shell("settling " + BY_NAME["settling"].quick)
     assert abs(results["friction_ratio"] - 1) < 1e-3
     assert 1e-5 < results["deflection"] < 1e-3
 

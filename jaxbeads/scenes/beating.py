@@ -19,6 +19,14 @@ from ..solution import Solution
 from ..state import State
 from .case import SAMPLES, Case, ReadyMade, Value, last_period, until_periodic
 
+__all__ = [
+    "HELICAL_BEATING",
+    "PLANAR_BEATING",
+    "helical_beating",
+    "lateral_harmonic",
+    "planar_beating",
+]
+
 _FREQUENCY = 1.0  # zeta; the unit of time
 _MOST_PERIODS = 200
 _thrust = eqx.filter_jit(thrust)
@@ -117,8 +125,14 @@ PLANAR_BEATING = ReadyMade(
     planar_beating,
     {"beads": "number of beads", "sperm_number": "sperm number Sp, eq. (58)"},
     _planar,
+    {
+        "amplitude": "lateral amplitudes at L/4, L/2, 3L/4 and L over alpha_0 L",
+        "tip_phase": "phase of the tip's lateral position [rad]",
+        "thrust": "mean force on the holder over (gamma/L) omega (alpha_0 L)^2",
+    },
     ("lateral position of the tip $y/L$", _tip_height),
     co_moving=False,
+    quick="--beads 5 --sperm-number 1.5",
 )
 
 
@@ -175,6 +189,10 @@ HELICAL_BEATING = ReadyMade(
     helical_beating,
     {"beads": "number of beads", "sperm_number": "sperm number Sp, eq. (58)"},
     _helical,
+    {
+        "tip_distance": "mean distance of the tip from the axis over L",
+    },
     ("distance of the tip from the axis $d/L$", _tip_distance),
     co_moving=False,
+    quick="--beads 5 --sperm-number 1.5",
 )

@@ -3,7 +3,7 @@
 import dataclasses
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -22,6 +22,8 @@ from ..simulate import simulate
 from ..solution import Solution
 from ..solver import AbstractSolver
 from ..state import State
+
+__all__ = ["Case", "ReadyMade", "Value", "last_period", "lateral_modes"]
 
 Value = float | Sequence[float] | bool | None
 """A result: a number, several, a yes or no, or none."""
@@ -76,12 +78,13 @@ class Case(NamedTuple):
 
 @dataclass(frozen=True)
 class ReadyMade:
-    """A scene as the shell sees it.
+    """A scene as the shell and the tests of all scenes see it.
 
     - `build`: function of the options that returns a `Case`; its defaults are the shell's.
     - `options`: name of each option and what it means.
-    - `observables`: dimensionless results of a run.
+    - `observables`: dimensionless results of a run, and `results`, what each of them means.
     - `plotted`: name of an observable over time, and the function of a solution that gives it.
+    - `quick`: options with which it runs in seconds, as the shell takes them.
     - `stretch`: factor on the deflection in pictures.
     - `co_moving`: whether pictures follow the fibre's centre; by default if there is no flow.
     """
@@ -91,7 +94,10 @@ class ReadyMade:
     build: Callable[..., Case]
     options: dict[str, str]
     observables: Callable[[Case, Solution], dict[str, Value]]
+    results: dict[str, str]
     plotted: tuple[str, Callable[[Case, Solution], Any]]
+    _: KW_ONLY
+    quick: str
     stretch: float = 1.0
     co_moving: bool | None = None
 

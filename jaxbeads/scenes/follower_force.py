@@ -12,6 +12,8 @@ from ..solution import Solution
 from ..state import State
 from .case import Case, ReadyMade, Value, lateral_modes
 
+__all__ = ["FOLLOWER_FORCE", "follower_force", "growth_rates"]
+
 _RPY = RPY()
 
 
@@ -86,6 +88,11 @@ FOLLOWER_FORCE = ReadyMade(
     follower_force,
     {"beads": "number of beads", "force": "force as P L^2/K_b"},
     _observables,
+    {
+        "growth_rate": "of the fastest deflection from straight over K_b/(mu L^4)",
+        "flaps": "whether the tip goes on swinging",
+    },
     ("lateral position of the tip $y/L$", _tip),
     co_moving=False,
+    quick="--beads 6 --force 70.0",
 )

@@ -11,6 +11,8 @@ from ..solution import Solution
 from .case import Case, ReadyMade, Value
 from .models import GEARS, AbstractModel, JointModel
 
+__all__ = ["JEFFERY", "jeffery"]
+
 _UNGAPPED = JointModel(gap=0.0)  # a rigid fibre needs no room to bend, section 3.1
 
 
@@ -64,5 +66,9 @@ JEFFERY = ReadyMade(
     jeffery,
     {"beads": "number of beads", "model": "gears, joint or spring"},
     _observables,
+    {
+        "period": "period of the orbit times the shear rate; none in less than half a turn",
+    },
     ("orientation [rad]", lambda case, s: np.unwrap(orientation(s.states.position))),
+    quick="--beads 4 --model joint",
 )

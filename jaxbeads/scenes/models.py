@@ -14,6 +14,17 @@ from ..force import AbstractForce, Bending, BendingEnergy, JointBending, JointRe
 from ..mobility import RPY
 from ..state import State
 
+__all__ = [
+    "GEARS",
+    "JOINT",
+    "MODELS",
+    "SPRING",
+    "AbstractModel",
+    "GearsModel",
+    "JointModel",
+    "SpringModel",
+]
+
 
 class AbstractModel(eqx.Module):
     """How neighbouring beads of a fibre hold together."""

@@ -24,6 +24,8 @@ from .case import (
     worm_amplitude,
 )
 
+__all__ = ["NEMATODE", "NEMATODE_PAIR", "nematode", "nematode_pair"]
+
 _FREQUENCY = 1.0  # f; the unit of time
 _STIFFNESS = 22.6
 """2 pi f mu L^4 / K_b of the nematode Caenorhabditis elegans (Majmudar et al., 2012)."""
@@ -78,8 +80,13 @@ NEMATODE = ReadyMade(
     nematode,
     {"beads": "number of beads"},
     _observables,
+    {
+        "speed": "swimming speed over f L",
+        "efficiency": "power to drag the rigid straight worm at that speed, over the mean power",
+    },
     ("distance swum over $L$", distance_swum),
     co_moving=False,
+    quick="--beads 7",
 )
 
 
@@ -138,6 +145,10 @@ NEMATODE_PAIR = ReadyMade(
         "antiphase": "waves half a period apart",
     },
     _pair,
+    {
+        "speed_ratio": "speed of the two over that of one",
+    },
     ("distance swum over $L$", distance_swum),
     co_moving=False,
+    quick="--beads 7 --distance 0.8 --antiphase",
 )

@@ -12,6 +12,8 @@ from ..solver import explicit_step
 from ..state import State
 from .case import Case, ReadyMade, Value, lateral_modes
 
+__all__ = ["RELAXATION", "relaxation"]
+
 
 def relaxation(
     beads: int = 34,
@@ -69,6 +71,10 @@ RELAXATION = ReadyMade(
     relaxation,
     {"beads": "number of beads", "mode": "number of the bending mode, from 1"},
     _observables,
+    {
+        "rate": "decay rate of the mode over K_b/(mu L^4)",
+    },
     ("amplitude over its start", lambda c, s: _amplitude(c, s) / _amplitude(c, s)[0]),
     stretch=2000.0,
+    quick="--beads 5 --mode 2",
 )

@@ -17,6 +17,8 @@ from ..solver.stepping import substeps_for
 from .case import Case, ReadyMade, Value
 from .models import GEARS, AbstractModel
 
+__all__ = ["SETTLING", "settling", "settling_friction"]
+
 _UP = np.array([0.0, 1.0])
 
 
@@ -115,5 +117,11 @@ SETTLING = ReadyMade(
         "model": "gears, joint or spring",
     },
     _observables,
+    {
+        "deflection": "A/L of the last shape",
+        "friction_ratio": "friction coefficient over that of the straight rigid fibre",
+        "tilt": "height of the last bead over the first, over L",
+    },
     ("deflection $A/L$", _deflection),
+    quick="--beads 5 --elasto-gravitational 0.1",
 )

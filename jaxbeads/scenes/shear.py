@@ -11,6 +11,8 @@ from ..solution import Solution
 from .case import Case, ReadyMade, Value
 from .models import GEARS, AbstractModel
 
+__all__ = ["SHEAR", "shear"]
+
 
 def shear(
     beads: int = 35,
@@ -80,5 +82,9 @@ SHEAR = ReadyMade(
         "model": "gears, joint or spring",
     },
     _observables,
+    {
+        "min_radius": "smallest radius of curvature over half the length",
+    },
     ("largest curvature, $L/2R$", lambda case, s: 1 / _radius(case, s)),
+    quick="--beads 5 --bending-ratio 0.1 --model joint",
 )

@@ -24,6 +24,8 @@ from .case import (
     worm_amplitude,
 )
 
+__all__ = ["SPIRAL", "spiral"]
+
 
 def spiral(
     beads: int = 15,
@@ -88,6 +90,11 @@ SPIRAL = ReadyMade(
     spiral,
     {"beads": "number of beads", "frequency": "frequency as 2 pi f mu L^4/K_b"},
     _observables,
+    {
+        "speed": "displacement in a period over L",
+        "rotation": "mean turns about the path in a period",
+    },
     ("distance swum over $L$", distance_swum),
     co_moving=False,
+    quick="--beads 7 --frequency 10.0",
 )

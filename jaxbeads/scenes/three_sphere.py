@@ -14,6 +14,8 @@ from ..solution import Solution
 from ..state import State
 from .case import SAMPLES, Case, ReadyMade, Value
 
+__all__ = ["THREE_SPHERE", "Arms", "three_sphere"]
+
 
 class Arms(eqx.Module):
     """l_k(t) = D + stroke cos(2 pi t - phase_k).
@@ -83,6 +85,11 @@ THREE_SPHERE = ReadyMade(
     three_sphere,
     {"separation": "mean arm length D over a", "stroke": "amplitude of the arms over D"},
     _observables,
+    {
+        "displacement": "displacement in a cycle over a",
+        "theory_ratio": "displacement over (7/12)(a/D^2) times the stroke's area; none without area",
+    },
     ("position of the centre over $a$", lambda c, s: _centre(s) / float(c.scene.chain.radius)),
     co_moving=False,
+    quick="--separation 20.0 --stroke 0.2",
 )
