@@ -70,7 +70,7 @@ def test_results_as_json(ready, shell):
     # The same run from Python.
     case = ready.build(**python_options(ready.quick.split()))
     expected = ready.observables(case, case.simulate(progress=False))
-    assert expected == {name: results[name] for name in observables}
+    assert expected == {name: results[name] for name in ready.results}
 
 
 def test_settling_of_a_stiff_fibre(shell):
