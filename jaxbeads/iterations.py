@@ -1,4 +1,10 @@
-"""Conjugate gradients."""
+"""Conjugate gradients.
+
+Why not `lineax.CG`, which is the same method: its program takes half as long again to compile and a few
+more iterations (200 rows, diagonal preconditioner: 17 against 14), because it asks for small numbers in
+the residual; here r.P r bounds the error of the velocities. A solution that was not found is NaN here,
+which `Outcome` reports without an error that is raised from within a compiled program.
+"""
 
 from collections.abc import Callable
 from typing import NamedTuple

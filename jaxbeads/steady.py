@@ -1,4 +1,9 @@
-"""Steady shapes by root finding, where stepping through time would be a waste."""
+"""Steady shapes by root finding, where stepping through time would be a waste.
+
+Why not `optimistix.Newton`: the unknowns are coordinates about the last shape, so that the chart moves
+with every iteration; the linearisation comes with the residual; how the shape moves as a whole is found
+with it, and directions that make no difference have to be left out.
+"""
 
 from collections.abc import Callable
 from typing import TypeVar

@@ -5,7 +5,12 @@ whose squares sum to one at each bead: every term is positive, so M' is, and bea
 mobility. With w = sin(pi i / 2h) over 2h beads, windows h apart, neighbours d apart keep cos(pi d / 2h)
 of their interaction. S' = J M' J^T couples a bond with those of the next window only. It holds what
 makes S ill conditioned, the stiff differences of neighbours; what is left is the far field of modes
-longer than a window. It grows like the logarithm of their length, and iterations hardly grow in number.
+longer than a window. It grows like the logarithm of their length, and iterations hardly grow in number:
+one fibre of 10 000 beads takes 15 to a relative residual of 1e-12 (`benchmarks/scaling.py`). Without
+them a scene of more than 1000 beads would need the whole of S, or hundreds of products with M.
+
+A direct factorisation of S by clusters (its far blocks are of low rank) would make all this
+unnecessary.
 """
 
 from collections.abc import Callable

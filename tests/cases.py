@@ -1,15 +1,17 @@
 """One list for each kind of thing: a new member is one entry here and then meets every contract."""
 
 import dataclasses
+from typing import NamedTuple
 
 import diffrax
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from jax.tree_util import Partial
 
 from jaxbeads import AB3, Chain, Scene, State, dynamics, from_directors, from_tangents
-from jaxbeads.actuation import FourierCurvature, TravellingWave
+from jaxbeads.actuation import FourierCurvature, TravellingWave, TwoPlanes
 from jaxbeads.constraint import (
     EqualSpins,
     FrozenJoints,
@@ -45,44 +47,53 @@ MOBILITIES = [
     RPY(dense=False),
 ]
 
+# Sets of constraints that stand together, the one that is meant last.
 CONSTRAINTS = [
-    Gears(),
-    Joint(),
-    Inextensible(),
-    FrozenJoints(),
-    EqualSpins(),
-    PrescribedPosition(bead=3),
-    PrescribedSpin(bead=-1),
-    PrescribedDirection(bond=1),
-    PrescribedLengths(lambda t: 2 + 0.1 * jnp.sin(t + jnp.arange(8.0))),
+    (Gears(),),
+    (Joint(),),
+    (Inextensible(),),
+    (Gears(), FrozenJoints()),
+    (Gears(), EqualSpins()),
+    (Gears(), PrescribedPosition(bead=3)),
+    (Gears(), PrescribedSpin(bead=-1)),
+    (Gears(), PrescribedDirection(bond=1)),
+    (PrescribedLengths(lambda t: 2 + 0.1 * jnp.sin(t + jnp.arange(8.0))),),
 ]
 
-FLOWS = [
-    Shear(0.7),
-    OscillatingShear(0.7, 2.0, 0.3),
-    Extension(0.4),
-    LinearFlow([[0.1, 0.5], [-0.2, -0.1]]),
-    Poiseuille(1.3, 8.0),
-    VelocityField(lambda t, x: jnp.sin(0.1 * x[::-1] + t)),
-]
 
-# Each acts on a planar chain of any number of beads.
-FORCES = [
-    Weight([0.1, -0.4]),
-    Bending(30.0, 0.02),
-    Bending(30.0, 0.02, SineRuleCurvature()),
-    BendingEnergy(30.0, 0.02),
-    BendingEnergy(30.0, 0.02, SineRuleCurvature()),
-    Bending(30.0, TravellingWave(0.2, 0.4, 1.5, 0.3)),
-    Bending(30.0, FourierCurvature([[0.1, 0.2], [0.0, -0.1]], [[0.0, 0.1], [0.0, 0.3]], 0.7)),
-    DrivingMoment(TravellingWave(2.0, 0.4, 1.5, 0.3)),
-    Spring(20.0),
-    Contact(5.0, 2.5, 1.0),
-    Follower(0.7),
-    Follower(0.7, end=0),
-    ForceField(lambda t, x: -0.1 * x),
-    Potential(lambda t, x: 0.05 * jnp.sum(x**2) * (1 + t)),
-]
+def flows(dim):
+    matrix = np.array([[0.1, 0.5, 0.2], [-0.2, -0.1, 0.1], [0.3, 0.0, 0.0]])
+    return [
+        Shear(0.7),
+        OscillatingShear(0.7, 2.0, 0.3),
+        Extension(0.4),
+        LinearFlow(matrix[:dim, :dim]),
+        Poiseuille(1.3, 8.0),
+        VelocityField(lambda t, x: jnp.sin(0.1 * x[::-1] + t)),
+    ]
+
+
+def forces(dim):
+    """Each acts on a chain of any number of beads."""
+    return [
+        Weight(np.array([0.1, -0.4, 0.2])[:dim]),
+        Bending(30.0, 0.02),
+        Bending(30.0, 0.02, SineRuleCurvature()),
+        BendingEnergy(30.0, 0.02),
+        BendingEnergy(30.0, 0.02, SineRuleCurvature()),
+        Bending(30.0, TravellingWave(0.2, 0.4, 1.5, 0.3)),
+        Bending(30.0, FourierCurvature([[0.1, 0.2], [0.0, -0.1]], [[0.0, 0.1], [0.0, 0.3]], 0.7)),
+        DrivingMoment(TravellingWave(2.0, 0.4, 1.5, 0.3)),
+        Spring(20.0),
+        Contact(5.0, 2.5, 1.0),
+        Follower(0.7),
+        Follower(0.7, end=0),
+        ForceField(lambda t, x: -0.1 * x),
+        Potential(lambda t, x: 0.05 * jnp.sum(x**2) * (1 + t)),
+    ]
+
+
+FLOWS, FORCES = flows(2), forces(2)
 
 # Solver, order.
 SOLVERS = [
@@ -95,8 +106,9 @@ SOLVERS = [
 
 
 def name(case):
-    """A readable test id."""
-    case = case[0] if isinstance(case, tuple) else case
+    """A readable test id; of a set, that of the one that is meant."""
+    if isinstance(case, tuple):
+        case = case[0] if isinstance(case[0], AbstractSolver) else case[-1]
     if isinstance(case, AbstractSolver):
         return case.name
     law = f"-{type(case.law).__name__}" if hasattr(case, "law") else ""
@@ -221,3 +233,117 @@ def in_units(thing, units):
         elif eqx.is_array(value):
             raise KeyError(f"The dimension of {type(thing).__name__}.{field.name} is not known.")
     return dataclasses.replace(thing, **changes) if changes else thing
+
+
+class Turn(NamedTuple):
+    """How space is turned (or mirrored), x -> Q x + shift."""
+
+    q: Array
+    shift: Array
+
+    @property
+    def sign(self):
+        """Of what turns like a spin."""
+        return jnp.sign(jnp.linalg.det(self.q))
+
+
+def vector(value, turn):
+    return value @ turn.q.T
+
+
+def place(value, turn):
+    return value @ turn.q.T + jnp.broadcast_to(turn.shift, value.shape)
+
+
+def axial(value, turn):
+    """Vectors at each place; what has no direction is as it was."""
+    return turn.sign * value @ turn.q.T if getattr(value, "ndim", 0) == 2 else value
+
+
+# Functions hold what they turn and by how much as leaves, so that one program serves all turns.
+
+
+def _law(sign, turn, law, t):
+    return sign * (turn.q @ law(t))
+
+
+def _before(x, turn):
+    return (x - jnp.broadcast_to(turn.shift, x.shape)) @ turn.q
+
+
+def _vectors(turn, function, t, x):
+    return function(t, _before(x, turn)) @ turn.q.T
+
+
+def _numbers(turn, function, t, x):
+    return function(t, _before(x, turn))
+
+
+def law(value, turn):
+    return None if value is None else Partial(_law, 1.0, turn, value)
+
+
+def axial_law(value, turn):
+    return None if value is None else Partial(_law, turn.sign, turn, value)
+
+
+def flow(value, turn):
+    return None if value is None else VelocityField(Partial(_vectors, turn, value.velocity))
+
+
+# How the numbers of a class turn; those that are not here do not.
+TURNS = {
+    "State": {"position": place, "director": vector, "normal": vector},
+    "Scene": {"flow": flow},
+    "NoSlipWall": {"point": place, "normal": vector},
+    "Weight": {"force": vector},
+    "Bending": {"intrinsic_curvature": axial},
+    "ForceField": {"function": lambda f, turn: Partial(_vectors, turn, f)},
+    "Potential": {"function": lambda f, turn: Partial(_numbers, turn, f)},
+    "PrescribedPosition": {"law": law},
+    "PrescribedSpin": {"law": axial_law},
+    "PrescribedDirection": {"law": law},
+}
+
+
+def turned(thing, turn):
+    """A scene, a state or a part of one, turned in space."""
+    if isinstance(thing, tuple):
+        return tuple(turned(x, turn) for x in thing)
+    rules = TURNS.get(type(thing).__name__, {})
+    changes = {}
+    for field in dataclasses.fields(thing) if isinstance(thing, eqx.Module) else ():
+        value = getattr(thing, field.name)
+        if value is not None and field.name in rules:
+            changes[field.name] = rules[field.name](value, turn)
+        elif isinstance(value, (tuple, eqx.Module)):
+            changes[field.name] = turned(value, turn)
+    return dataclasses.replace(thing, **changes) if changes else thing
+
+
+_STILL = TravellingWave(0.0, 1.0, 1.0)
+
+
+def _bending(f):
+    if callable(f.intrinsic_curvature):  # bends in the x-y plane
+        return Bending(f.rigidity, TwoPlanes(_STILL, f.intrinsic_curvature), f.law)
+    vectors = f.intrinsic_curvature * jnp.array([[0.0, 0.0, 1.0]])
+    return Bending(f.rigidity, jnp.tile(vectors, (5, 1)), f.law)
+
+
+# What has another form in space than in the plane, on a chain of seven beads.
+SPATIAL = {
+    "Weight": lambda f: Weight(jnp.pad(f.force, (0, 1))),
+    "Bending": _bending,
+    "DrivingMoment": lambda f: DrivingMoment(TwoPlanes(_STILL, f.moment)),
+    "BendingEnergy": lambda f: (
+        None if jnp.any(f.intrinsic_curvature) else f
+    ),  # it has no sign there
+    "LinearFlow": lambda f: LinearFlow(jnp.pad(f.matrix, ((0, 1), (0, 1)))),
+    "VelocityField": lambda f: VelocityField(lambda t, x: jnp.append(f.function(t, x[:2]), 0.0)),
+}
+
+
+def in_space(term):
+    """A planar force or flow in three dimensions; `None` if it has no form there."""
+    return SPATIAL.get(type(term).__name__, lambda same: same)(term)

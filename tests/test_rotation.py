@@ -1,13 +1,13 @@
 """Gate T18: what starts turned, shifted or mirrored moves turned, shifted or mirrored, whichever way it
 points: every force, flow, constraint, drive and scene in space."""
 
+import cases
 import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import FLOWS, FORCES, bent, jointed, name
-from jax.tree_util import Partial
+from cases import bent, jointed, name
 
 from jaxbeads import Chain, Load, Scene, State, dynamics, frames, rollout, scenes, straight
 from jaxbeads.actuation import HelicalBeat, TravellingWave, TwoPlanes
@@ -21,17 +21,14 @@ from jaxbeads.constraint import (
     PrescribedPosition,
     PrescribedSpin,
 )
-from jaxbeads.flow import AbstractLinearFlow, LinearFlow, Poiseuille, VelocityField
+from jaxbeads.flow import Poiseuille, VelocityField
 from jaxbeads.force import (
     AbstractForce,
     Bending,
     Contact,
     DrivingMoment,
-    ForceField,
     JointBending,
     JointRepulsion,
-    Potential,
-    Spring,
     Weight,
 )
 
@@ -53,89 +50,8 @@ MIRROR = np.diag([1.0, 1.0, -1.0])
 SHIFT = np.array([3.0, -40.0, 7.0])
 
 
-def turned_state(state, q, shift=SHIFT):
-    q = jnp.asarray(q)
-    others = (None if v is None else v @ q.T for v in (state.director, state.normal))
-    return State(state.position @ q.T + shift[None], *others)
-
-
-# Functions that hold what they turn and by how much as leaves, so that one program serves all turns.
-
-
-def _law(q, sign, law, t):
-    return sign * (q @ law(t))
-
-
-def _gradient(q, flow, t, x):
-    return q @ flow.gradient(t, 3) @ q.T @ (x - SHIFT)
-
-
-def _velocity(q, flow, t, x):
-    return q @ flow.velocity(t, q.T @ (x - SHIFT))
-
-
-def _force(q, force, t, r):
-    return force.function(t, (r - SHIFT[None]) @ q) @ q.T
-
-
-def _energy(q, force, t, r):
-    return force.function(t, (r - SHIFT[None]) @ q)
-
-
-def turned_law(law, q, sign=1.0):
-    return None if law is None else Partial(_law, jnp.asarray(q), sign, law)
-
-
-def turned_flow(flow, q):
-    if flow is None:
-        return None
-    linear = isinstance(flow, AbstractLinearFlow)  # with its origin where it was
-    return VelocityField(Partial(_gradient if linear else _velocity, jnp.asarray(q), flow))
-
-
-def turned_force(force, q):
-    q = jnp.asarray(q)
-    sign = jnp.sign(jnp.linalg.det(q))  # torques and curvatures are no true vectors
-    if isinstance(force, Weight):
-        return Weight(force.force @ q.T)
-    if isinstance(force, ForceField):
-        return ForceField(Partial(_force, q, force))
-    if isinstance(force, Potential):
-        return Potential(Partial(_energy, q, force))
-    if isinstance(force, Bending) and getattr(force.intrinsic_curvature, "ndim", 0) == 2:
-        return Bending(force.rigidity, sign * force.intrinsic_curvature @ q.T, force.law)
-    return force
-
-
-def turned_constraint(constraint, q):
-    sign = jnp.sign(jnp.linalg.det(q))
-    if isinstance(constraint, PrescribedSpin):
-        return PrescribedSpin(turned_law(constraint.law, q, sign), constraint.bead)
-    if isinstance(constraint, PrescribedPosition):
-        return PrescribedPosition(turned_law(constraint.law, q), constraint.bead)
-    if isinstance(constraint, PrescribedDirection):
-        return PrescribedDirection(turned_law(constraint.law, q), constraint.bond)
-    return constraint
-
-
-def turned_scene(scene, q):
-    return Scene(
-        scene.chain,
-        scene.viscosity,
-        scene.mobility,
-        [turned_constraint(c, q) for c in scene.constraints],
-        [turned_force(f, q) for f in scene.forces],
-        turned_flow(scene.flow, q),
-    )
-
-
-def in_space(term):
-    """A planar force or flow of the lists, in space."""
-    if isinstance(term, Weight):
-        return Weight([0.1, -0.4, 0.2])
-    if isinstance(term, LinearFlow):
-        return LinearFlow([[0.1, 0.5, 0.2], [-0.2, -0.3, 0.1], [0.3, 0.0, 0.2]])
-    return term
+def turned(thing, q):
+    return cases.turned(thing, cases.Turn(jnp.asarray(q), jnp.asarray(SHIFT)))
 
 
 CHAIN = Chain(1.0, 7)
@@ -145,14 +61,14 @@ MODELS = {
     f"force {index} {name(force)}": Scene(
         CHAIN,
         0.8,
-        constraints=[] if name(force) == "Spring" else [Gears()],
-        forces=[in_space(force)],
+        constraints=[] if force.links else [Gears()],
+        forces=[force],
     )
-    for index, force in enumerate(FORCES)
+    for index, force in enumerate(cases.forces(3))
 }
 MODELS |= {
-    f"flow {name(flow)}": Scene(CHAIN, 0.8, constraints=[Gears()], flow=in_space(flow))
-    for flow in FLOWS
+    f"flow {name(flow)}": Scene(CHAIN, 0.8, constraints=[Gears()], flow=flow)
+    for flow in cases.flows(3)
 }
 MODELS |= {
     f"constraint {type(c).__name__}": Scene(
@@ -200,7 +116,7 @@ def start(model):
     chain = model.chain
     if model.oriented:
         return jointed(chain, 3)
-    if any(isinstance(force, Spring) for force in model.forces):
+    if any(force.links for force in model.forces):
         return State(1.1 * bent(chain, 3).position)
     centre = 4.0 * np.arange(len(chain.fibres))[:, None] * np.array([[0.3, 0.2, 1.0]])
     return bent(chain, 3, centre=centre)
@@ -210,7 +126,7 @@ def start(model):
 def test_the_motion_turns_with_the_state(model):
     state = model.begin(start(model))
     still = jax.jit(lambda s: dynamics.rate(0.3, s, model))(state)
-    other = jax.jit(lambda q, s: dynamics.rate(0.3, turned_state(s, q), turned_scene(model, q)))
+    other = jax.jit(lambda q, s: dynamics.rate(0.3, turned(s, q), turned(model, q)))
     # Waves in two planes are left-handed in a mirror.
     handed = any(force.framed(model.chain) for force in model.forces)
     for turn, q in (TURNS if handed else TURNS | {"mirror": MIRROR}).items():
@@ -234,9 +150,7 @@ def test_trajectories_turn_with_their_start(path):
     _, model, options = path
     state, ts = model.begin(start(model)), np.linspace(0.0, 1.0, 3)
     plain = jax.jit(lambda s: rollout(model, s, ts, **options).states)(state)
-    other = jax.jit(
-        lambda q, s: rollout(turned_scene(model, q), turned_state(s, q), ts, **options).states
-    )
+    other = jax.jit(lambda q, s: rollout(turned(model, q), turned(s, q), ts, **options).states)
     assert np.abs(plain.position[-1] - plain.position[0]).max() > 0.003
     for turn in ("any", "x nearly to -x"):
         q = TURNS[turn]
@@ -255,7 +169,7 @@ def test_ready_made_scenes_in_space_turn_with_their_start(build):
     state = model.begin(bent(model.chain, 3) if build is scenes.spiral else case.state)
     q = TURNS["x nearly to -x"]
     plain = rollout(model, state, ts, substeps=400).states
-    other = rollout(turned_scene(model, q), turned_state(state, q), ts, substeps=400).states
+    other = rollout(turned(model, q), turned(state, q), ts, substeps=400).states
     for a, b in zip(jax.tree.leaves(plain), jax.tree.leaves(other), strict=True):
         moved = SHIFT if a is plain.position else 0.0
         off = np.abs(np.asarray(a) @ q.T + moved - b).max()

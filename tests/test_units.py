@@ -8,10 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import CONSTRAINTS, FLOWS, FORCES, MOBILITIES, bent, in_units, instant, jointed
+from cases import CONSTRAINTS, FLOWS, FORCES, MOBILITIES, bent, in_units, instant, jointed, name
 
 from jaxbeads import AB3, Chain, Scene, State, dynamics, rollout, simulate
-from jaxbeads.constraint import Gears, Joint, PrescribedLengths, PrescribedPosition, PrescribedSpin
+from jaxbeads.constraint import Gears, Joint, PrescribedPosition, PrescribedSpin
 from jaxbeads.flow import Shear
 from jaxbeads.force import Bending, JointBending, JointRepulsion, Weight
 from jaxbeads.mobility import RPY, FreeDraining
@@ -27,13 +27,9 @@ quiet = partial(simulate, progress=False)
 
 def together():
     """Scenes that hold every constraint, force, flow and mobility of `cases`."""
-    chained = [c for c in CONSTRAINTS if type(c) not in (Gears, Joint, PrescribedLengths)]
-    sets = [[Gears(), c] for c in chained[1:]] + [chained[:1], [Joint()]]
-    sets += [[c] for c in CONSTRAINTS if isinstance(c, PrescribedLengths)]
-    count = len(sets)
-    held = {type(c) for s in sets for c in s}
-    assert held == {type(c) for c in CONSTRAINTS} and count >= max(len(FLOWS), len(MOBILITIES))
-    for k, constraints in enumerate(sets):
+    count = len(CONSTRAINTS)
+    assert count >= max(len(FLOWS), len(MOBILITIES))
+    for k, constraints in enumerate(CONSTRAINTS):
         forces = FORCES[k::count]
         flow, mobility = FLOWS[k % len(FLOWS)], MOBILITIES[k % len(MOBILITIES)]
         yield constraints, forces, flow, mobility
@@ -56,11 +52,11 @@ def agree(scene, state, units, t=0.37):
 
 
 @pytest.mark.parametrize("units", SYSTEMS, ids=["micro", "large"])
-@pytest.mark.parametrize("parts", list(together()), ids=lambda p: type(p[0][-1]).__name__)
+@pytest.mark.parametrize("parts", list(together()), ids=lambda p: name(p[0]))
 def test_every_term(parts, units):
     constraints, forces, flow, mobility = parts
     chain = Chain(1.0, 9)
-    state = (jointed if isinstance(constraints[0], Joint) else bent)(chain, 2, seed=3)
+    state = (jointed if constraints[-1].oriented else bent)(chain, 2, seed=3)
     scene = Scene(chain, 1.3, mobility, constraints, forces, flow)
     agree(scene, state, units)
 

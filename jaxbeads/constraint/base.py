@@ -11,6 +11,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
+from .._checks import fail
 from .._compat import custom_vmap, hidden
 from ..chain import Chain
 from ..geometry import bond_lengths, bonds, unit
@@ -33,6 +34,8 @@ class AbstractConstraint(eqx.Module):
     """Whether `slip` is a rate of turning [1/time], not a velocity."""
     links: ClassVar[bool] = False
     """Whether it keeps neighbours together."""
+    planar: ClassVar[bool] = False
+    """Whether it is for planar scenes only."""
 
     @abc.abstractmethod
     def slip(self, t: Float[Array, ""], state: State, motion: Motion, chain: Chain) -> Array:
@@ -57,6 +60,8 @@ class AbstractConstraint(eqx.Module):
 
     def check(self, chain: Chain, dim: int) -> None:
         """Refuse a chain or a dimension that the constraint cannot serve, in one sentence."""
+        if self.planar and dim != 2:
+            fail("state", f"be planar for {type(self).__name__}", "it is three-dimensional")
 
 
 class AbstractChainConstraint(AbstractConstraint):

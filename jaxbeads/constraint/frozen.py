@@ -4,7 +4,6 @@ from typing import ClassVar
 
 from jaxtyping import Array, Float
 
-from .._checks import fail
 from ..chain import Chain
 from ..geometry import bonds, cross
 from ..state import Motion, State
@@ -20,11 +19,7 @@ class FrozenJoints(AbstractConstraint):
 
     rotational: ClassVar[bool] = False
     turning: ClassVar[bool] = True
-
-    def check(self, chain: Chain, dim: int) -> None:
-        """Planar scenes only."""
-        if dim != 2:
-            fail("state", "be planar for FrozenJoints", "it is three-dimensional")
+    planar: ClassVar[bool] = True
 
     def slip(self, t: Float[Array, ""], state: State, motion: Motion, chain: Chain) -> Array:
         """Difference of the turning rates of the two bonds at each joint [1/time], `(joints,)`."""

@@ -2,6 +2,11 @@
 
 A stepper holds a solver and carries everything that the next step depends on, so a run that is cut
 between save times and continued from its carry is the same run, bit for bit.
+
+Steps are those of diffrax's solvers and controllers, but the loop is not `diffeqsolve`: between two
+steps bonds are set to their lengths and directors to unit length, laws and places are watched, a failed
+step keeps the last good state, and the derivative of the loop is that of `loops`, with one copy of the
+step.
 """
 
 from typing import Any
