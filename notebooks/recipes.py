@@ -135,8 +135,10 @@ scaled = falling(K_b / (force * length**2), jb.Chain(a / length, 8), 1.0, w / fo
 seconds = np.linspace(0.0, 0.5, 41)
 there = jb.simulate(physical, jb.straight(physical.chain, [1.0, 0.0]), seconds, progress=False)
 here = jb.simulate(scaled, start, seconds / time, progress=False)
-fall = observables.settling_velocity(0.5, there.final, physical)
-print(f"unit of time {time:.3g} s; it falls at {-fall[1]:.4g} um/s")
+fall = observables.settling_velocity(0.5, there.final, physical)  # um/s
+back = observables.settling_velocity(0.5 / time, here.final, scaled) * length / time
+print(f"unit of time {time:.3g} s; it falls at {-fall[1]:.4g} um/s, {-back[1]:.4g} by the other")
+assert np.abs(fall - back).max() < 1e-9 * np.abs(fall).max()
 assert np.abs(here.states.position * length - there.states.position).max() < 1e-9 * 8 * a
 
 # %% [markdown]
@@ -591,7 +593,7 @@ print("displacement over L:", cycle.displacement / chain.length[0])
 print("largest multiplier but that of turning:", np.abs(cycle.multipliers)[1])
 one = jb.rollout(swimmer, cycle.state, np.linspace(0, period, 11), substeps=200)
 speed = jb.objectives.swimming_speed(one, swimmer, 1 / period)
-print("V/(f L)", speed, "efficiency", jb.objectives.efficiency(one, swimmer))
+print("V/(f L)", speed)
 shape = one.states.position - one.states.position.mean(axis=1, keepdims=True)
 assert abs(speed - jnp.linalg.norm(cycle.displacement) / chain.length[0]) < 1e-8
 assert np.abs(shape[-1] - shape[0] @ np.asarray(cycle.rotation)).max() < 1e-6
