@@ -11,7 +11,7 @@ forward mode along it, relative; with adaptive steps differences are as rough as
 lets the steps change. The last rows are implicit derivatives: of a steady shape by Newton's method, and
 of a periodic swimmer by shooting.
 
-Unless XLA_FLAGS is set, fusions are compiled by XLA's older code generator, as the README recommends for
+Unless XLA_FLAGS is set, fusions are compiled by XLA's older code generator, as `README.md` here says of
 gradients; `XLA_FLAGS= python ...` measures the default.
 """
 

@@ -26,7 +26,7 @@
 # | constraint | `slip` | a bond turns at a given rate | resistance of a rigid rod to rotation |
 # | force | `load` | a magnetic torque $m \times B$ on each bead | the equation of a compass needle |
 # | flow | `velocity` | a vortex that spreads by viscosity | how far it carries a point |
-# | mobility | `operator` | drag that differs along and across | the largest drift angle of a rod |
+# | mobility | `motion` | drag that differs along and across | the largest drift angle of a rod |
 #
 # Nothing is registered anywhere: the classes go straight into a `Scene`. Units: $a = \mu = 1$, so a
 # single bead has the friction $6\pi$ and the rotational friction $8\pi$. Everything is in the

@@ -19,9 +19,9 @@ class Joint(AbstractChainConstraint):
 
     the time derivative of r_i + l_i p_i = r_{i+1} - l_{i+1} p_{i+1}, eqs (2), (3) and (40) of Delmotte,
     Climent & Plouraboué (2015). States need directors along the fibre (`from_directors`). The gap
-    eps_g of the chain lets it bend up to a curvature (`numbers.largest_joint_curvature`) before beads
-    overlap. Pair it with `JointBending`. `slip` has shape `(dim, beads - 1)`; rows between two fibres
-    are zero.
+    eps_g of the chain lets it bend up to a curvature before beads overlap
+    (`dimensionless.largest_joint_curvature`). Pair it with `JointBending`. `slip` has shape
+    `(dim, beads - 1)`; rows between two fibres are zero.
     """
 
     rotational: ClassVar[bool] = True
