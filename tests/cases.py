@@ -93,7 +93,8 @@ def forces(dim):
     ]
 
 
-FLOWS, FORCES = flows(2), forces(2)
+FLOWS = flows(2)
+FORCES = forces(2)
 
 # Solver, order.
 SOLVERS = [
