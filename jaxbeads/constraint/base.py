@@ -33,6 +33,9 @@ class AbstractConstraint(eqx.Module):
     """Whether `slip` is a rate of turning [1/time], not a velocity."""
     links: ClassVar[bool] = False
     """Whether it keeps neighbours together."""
+    internal: ClassVar[bool] = False
+    """Whether it acts between neighbours of a fibre, with no force and no torque in all: a fibre
+    carries it along itself. (What `links` does so too.)"""
 
     @abc.abstractmethod
     def slip(self, t: Float[Array, ""], state: State, motion: Motion, chain: Chain) -> Array:

@@ -20,6 +20,7 @@ class FrozenJoints(AbstractConstraint):
 
     rotational: ClassVar[bool] = False
     turning: ClassVar[bool] = True
+    internal: ClassVar[bool] = True
 
     def check(self, chain: Chain, dim: int) -> None:
         """Planar scenes only."""

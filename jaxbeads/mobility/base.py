@@ -70,6 +70,18 @@ class AbstractMobility(eqx.Module):
         """M as fields of pairs; `None` if it has no such form."""
         return None
 
+    def fluid_velocity(
+        self,
+        configuration: Configuration,
+        load: Load,
+        strain_rate: Float[Array, "*beads 3 3"] | None,
+        points: Float[Array, "points 3"],
+    ) -> Float[Array, "points 3"] | None:
+        """Velocity of the fluid at points [length/time] that loads and the beads' resistance to a rate
+        of strain drive, beside the ambient flow: that of which M and C are means over beads. All is in
+        space. `None` if it knows of no fluid."""
+        return None
+
     def gradient(
         self,
         configuration: Configuration,
