@@ -5,12 +5,15 @@ Each load here is what its name exerts on the beads. They are those of the equat
 is about its centre, and its force acts there.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from ._checks import fail, index
+from ._typing import float_array
 from .chain import Chain
 from .constraint import Joint
 from .dynamics import evaluate, multipliers, named
@@ -67,7 +70,7 @@ def constraint_loads(t: Time, state: State, scene: Scene) -> dict[str, Load]:
 
 
 def net_load(
-    load: Load, state: State, about: Float[Array, " dim"]
+    load: Load, state: State, about: Any
 ) -> tuple[Float[Array, " dim"], Float[Array, " spins"]]:
     """Sum of the forces [force], `(dim,)`, and of all torques about a point [force length], `(1,)` in
     the plane and `(3,)` in space."""
@@ -75,7 +78,7 @@ def net_load(
     force, torque = jnp.zeros(dim, dtype), jnp.zeros(spins(dim), dtype)
     if load.force is not None:
         force = jnp.sum(load.force, axis=0)
-        arm = state.position - jnp.asarray(about)[None]
+        arm = state.position - float_array(about)[None]
         torque = torque + jnp.sum(cross(arm, load.force), axis=0)
     if load.torque is not None:
         torque = torque + jnp.sum(load.torque, axis=0)
