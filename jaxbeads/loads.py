@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from ._checks import fail, index
 from ._typing import float_array
 from .chain import Chain
-from .constraint import Joint
+from .constraint import AbstractConstraint, Joint
 from .dynamics import evaluate, multipliers, named
 from .force import AbstractPotential, Bending
 from .geometry import bonds, cross, tangents
@@ -95,19 +95,26 @@ def holding_load(
     **Argument** `bead`: its index, -1 for the last. **Returns** `(dim,)`, and `(1,)` in the plane or
     `(3,)` in space. **Raises** `ValueError` if nothing holds it.
     """
-    index("bead", bead, scene.chain.beads)
     beads, held = scene.chain.beads, []
+    index("bead", bead, beads)
     bead = bead % beads
-    for constraint, load in zip(
-        scene.constraints, constraint_loads(t, state, scene).values(), strict=True
-    ):
-        at, bond = getattr(constraint, "bead", None), getattr(constraint, "bond", None)
-        named_bond = bond is not None and bead - bond % (beads - 1) in (0, 1)
-        if named_bond or (at is not None and at % beads == bead):
-            held.append(load)
+    every = constraint_loads(t, state, scene).values()
+    for constraint, load in zip(scene.constraints, every, strict=True):
+        at = _named(constraint, "bead", beads) == bead
+        bond = _named(constraint, "bond", beads - 1)
+        bond = bond[(bond == bead) | (bond == bead - 1)]
+        if at.any() or len(bond):  # of all that it names, the rows of this one
+            rows = np.isin(np.arange(beads), [bead] if at.any() else [*bond, *(bond + 1)])
+            held.append(jax.tree.map(lambda x, rows=rows: jnp.where(rows[:, None], x, 0.0), load))
     if not held:
         fail("bead", "be one that a constraint of the scene holds", f"nothing names bead {bead}")
     return net_load(add_loads(*held), state, state.position[bead])
+
+
+def _named(constraint: AbstractConstraint, what: str, number: int) -> np.ndarray:
+    """The beads or bonds that a constraint names, counted from the first."""
+    named = getattr(constraint, what, ())
+    return np.atleast_1d(np.asarray(named, int)) % max(number, 1)
 
 
 def stress_resultants(

@@ -42,8 +42,8 @@ class AbstractConstraint(eqx.Module):
         """What the constraint sets to zero; affine in `motion`, any shape, independent entries."""
 
     @property
-    def anchor(self) -> int | None:
-        """Index of a bead whose place it prescribes: its fibre is placed by it."""
+    def anchor(self) -> int | tuple[int, ...] | None:
+        """Index of a bead, or of several, whose places it prescribes: fibres are placed by them."""
         return None
 
     def off_law(
