@@ -47,7 +47,7 @@ class FlowField(eqx.Module):
     def __call__(self, points: Any) -> Array:
         """Velocity [length/time] at points [length], an array of any shape whose last axis has the
         components: those of the scene, or three. **Raises** `ValueError` for another number."""
-        points = float_array(points)
+        points = float_array(points).astype(self.configuration.position.dtype)
         if points.ndim < 1 or points.shape[-1] not in (self.dim, 3):
             wanted = "2 or 3" if self.dim == 2 else "3"
             must = f"hold points of {wanted} components"

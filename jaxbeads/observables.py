@@ -1,6 +1,7 @@
 """What is measured on states, trajectories and scenes.
 
-Functions of positions take any leading axes (times); pass `solution.states.position`.
+Functions of positions take any leading axes (times); pass `solution.states.position`. Those of loads
+(who exerts which, tension, moments, energy) are written in `loads`.
 """
 
 from typing import Any

@@ -396,3 +396,19 @@ def test_without_loads_there_is_the_ambient_flow():
     out = outside(x, THREE[:2], 1.0)
     found = flow_field(0.0, State(THREE[:2]), carried)(x)
     assert np.abs(found - x @ GRADIENT.T)[out].max() < 1e-15
+
+
+def test_single_precision():
+    # Micrometres, milliseconds and piconewtons in SI.
+    units = 1e-6, 1e-3, 1e-12
+    chain = Chain([1.0, 1.2, 0.9], 3)
+    state, made = bent(chain, 3, 1), scene(chain, 3)
+    x = places(30, 5.0)
+    one = np.asarray(flow_field(0.0, state, made)(x)) * 1e-3
+
+    def small(tree):
+        return jax.tree.map(lambda y: y.astype(jnp.float32), tree)
+
+    two = small((in_units(state, units), in_units(made, units)))
+    found = flow_field(0.0, *two)(x * 1e-6)
+    assert found.dtype == jnp.float32 and np.abs(found - one).max() < 2e-6 * np.abs(one).max()
