@@ -32,6 +32,10 @@ from .domain import FreeSurface as FreeSurface
 from .domain import NoSlipWall as NoSlipWall
 from .domain import Unbounded as Unbounded
 from .files import load as load
+from .fluid import AverageFlowField as AverageFlowField
+from .fluid import FlowField as FlowField
+from .fluid import average_flow_field as average_flow_field
+from .fluid import flow_field as flow_field
 from .optimise import optimise as optimise
 from .optimum import Optimum as Optimum
 from .outcome import Outcome as Outcome

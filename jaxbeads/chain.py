@@ -64,6 +64,17 @@ class Chain(eqx.Module):
         return np.repeat(np.arange(len(self.fibres)), self.fibres)
 
     @property
+    def first_beads(self) -> tuple[int, ...]:
+        """Index of the first bead of each fibre."""
+        return tuple(int(n) for n in np.cumsum((0, *self.fibres))[:-1])
+
+    @property
+    def last_beads(self) -> tuple[int, ...]:
+        """Index of the last bead of each fibre, counted from the last of all as -1 (and so that of the
+        bond before it)."""
+        return tuple(int(n) - self.beads - 1 for n in np.cumsum(self.fibres))
+
+    @property
     def bond_mask(self) -> np.ndarray:
         """Whether beads i and i + 1 are neighbours in one fibre, shape `(beads - 1,)`."""
         fibre = self.fibre_of_bead

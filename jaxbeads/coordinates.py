@@ -221,8 +221,8 @@ def coordinates(scene: Scene, state: State) -> AbstractCoordinates:
     """
     anchors: list[int | None] = [None] * len(scene.chain.fibres)
     for constraint in scene.constraints:
-        if constraint.anchor is not None:
-            bead = constraint.anchor % scene.chain.beads
+        held = () if constraint.anchor is None else np.atleast_1d(constraint.anchor)
+        for bead in (int(k) % scene.chain.beads for k in held):
             fibre = scene.chain.fibre_of_bead[bead]
             anchors[fibre] = bead if anchors[fibre] is None else anchors[fibre]
     chained = [c for c in scene.constraints if isinstance(c, AbstractChainConstraint)]

@@ -226,7 +226,7 @@ def reflected(
     return _total(*v), _total(*w)
 
 
-class _Spheres(NamedTuple):
+class Spheres(NamedTuple):
     """Some spheres, lengths in units of one: positions, heights, radii."""
 
     position: Array
@@ -241,7 +241,7 @@ class Wall(NamedTuple):
     length: Array
     direction: Array
     normal: Vector
-    spheres: _Spheres
+    spheres: Spheres
 
     share: Float[Array, " beads"]
     """By which spheres that overlap the wall are slowed, see `wall`."""
@@ -255,7 +255,7 @@ class Wall(NamedTuple):
         pairs = self.share[:, None] * self.share[None, :]
         return jax.tree.map(lambda field: pairs * field, tables)
 
-    def _apart(self, to: _Spheres, of: _Spheres) -> tuple[list[Array], Array]:
+    def _apart(self, to: Spheres, of: Spheres) -> tuple[list[Array], Array]:
         """From the mirror images to the spheres, and that along the normal."""
         images = of.position - 2 * of.height[:, None] * self.direction[None]
         return separations(to.position, images), to.height[:, None] + of.height[None, :]
@@ -267,13 +267,15 @@ class Wall(NamedTuple):
             parts += spin[2:] if dim == 2 else spin
         return [_there(x, like) for x in parts]
 
-    def _motion(self, fields: Callable[[_Spheres, _Spheres], list[Array]]) -> Motion:
-        sums, dim = pair_sums(fields, self.spheres), self.configuration.dim
+    def _motion(
+        self, fields: Callable[[Spheres, Spheres], list[Array]], to: Spheres | None
+    ) -> Motion:
+        sums, dim = pair_sums(fields, self.spheres, to), self.configuration.dim
         velocity = jnp.stack(sums[:dim], axis=-1)
         spin = jnp.stack(sums[dim:], axis=-1) if self.configuration.rotational else None
         return Motion(velocity, spin)
 
-    def _loaded(self, to: _Spheres, of: _Spheres, force: Vector, torque: Vector) -> list[Array]:
+    def _loaded(self, to: Spheres, of: Spheres, force: Vector, torque: Vector) -> list[Array]:
         """What forces and torques on the second spheres do to the first."""
         r, height = self._apart(to, of)
         vector = [*r, *[None] * (3 - len(r))]
@@ -292,8 +294,8 @@ class Wall(NamedTuple):
             spin.append(_scaled(unit / self.length / self.length, w))
         return self._components(_total(*velocity), _total(*spin), height)
 
-    def motion(self, load: Load) -> Motion:
-        """What the images of loads add to M F."""
+    def motion(self, load: Load, to: Spheres | None = None) -> Motion:
+        """What the images of loads add to M F, or to the motion of other spheres."""
         dim = self.configuration.dim
 
         def rows(x: Array | None) -> Vector:
@@ -303,7 +305,7 @@ class Wall(NamedTuple):
         force = [*force[:dim], *[None] * (3 - dim)]
         torque = rows(load.torque)
         torque = torque if len(torque) == 3 else [None, None, *torque]
-        return self._motion(lambda to, of: self._loaded(to, of, force, torque))
+        return self._motion(lambda to, of: self._loaded(to, of, force, torque), to)
 
     def tables(self) -> PairTensor:
         """What they add to M, as fields."""
@@ -328,19 +330,21 @@ class Wall(NamedTuple):
             tt, tr, rt, tuple(tuple(c[dim + i] for c in by_torque) for i in range(turns))
         )
 
-    def disturbance(self, strain_rate: Float[Array, "*beads dim dim"]) -> Motion:
-        """What the images of the spheres' stresslets add to C : E."""
+    def disturbance(
+        self, strain_rate: Float[Array, "*beads dim dim"], to: Spheres | None = None
+    ) -> Motion:
+        """What the images of the spheres' stresslets add to C : E, or to the motion of others."""
         rows = strain_rate if strain_rate.ndim == 2 else strain_rate[None]
         dim = self.configuration.dim
 
-        def fields(to: _Spheres, of: _Spheres) -> list[Array]:
+        def fields(to: Spheres, of: Spheres) -> list[Array]:
             r, height = self._apart(to, of)
             e = [[rows[..., i, j] for j in range(dim)] for i in range(dim)]
             source = _strained(r, self.normal, e, of.radius[None, :] + 0 * height)
             v, w = reflected(source, to.height[:, None], to.radius[:, None], self.normal)
             return self._components(_scaled(self.length, v), w, height)
 
-        return self._motion(fields)
+        return self._motion(fields, to)
 
 
 def wall(configuration: Configuration) -> Wall:
@@ -361,7 +365,7 @@ def wall(configuration: Configuration) -> Wall:
     radius = 1.0 if scaled.radius is None else scaled.radius
     radii = jnp.broadcast_to(jnp.asarray(radius, height.dtype), height.shape)
     components = [*normal, *[None] * (3 - len(normal))]
-    spheres = _Spheres(scaled.position, (height + lift) / scaled.length, radii)
+    spheres = Spheres(scaled.position, (height + lift) / scaled.length, radii)
     return Wall(lifted, scaled.length, normal, components, spheres, share)
 
 

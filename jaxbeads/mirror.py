@@ -17,7 +17,7 @@ from .state import Load, Motion, add_motions, spins
 from .tensors import as_motion, pushed, rpy, rpy_motion, shear_disturbance, strained
 
 
-def _mirror(configuration: Configuration) -> tuple[Array, Array]:
+def mirror_of(configuration: Configuration) -> tuple[Array, Array]:
     """Mirror images of the spheres behind a plane, and the mirror I - 2 n n."""
     domain, position = configuration.domain, configuration.position
     if not isinstance(domain, AbstractHalfSpace):
@@ -31,7 +31,7 @@ def _from_images(
     configuration: Configuration, fields: Callable[[list[Field], Radii | None], Sequence[Field]]
 ) -> Motion:
     """Sums over the mirror images j of functions of r_i - r_j."""
-    scaled, (images, _) = configuration.scaled, _mirror(configuration)
+    scaled, (images, _) = configuration.scaled, mirror_of(configuration)
     images = images / scaled.length
     if scaled.radius is None:
         sums = pair_sums(
@@ -45,7 +45,7 @@ def _from_images(
     return as_motion(sums, configuration)
 
 
-def _mirrored_load(load: Load, mirror: Array) -> Load:
+def mirrored_load(load: Load, mirror: Array) -> Load:
     """Forces in a mirror, and torques, which it turns the other way."""
     torque = load.torque
     if torque is not None:
@@ -56,9 +56,9 @@ def _mirrored_load(load: Load, mirror: Array) -> Load:
 
 def _motion(configuration: Configuration, load: Load) -> Motion:
     """What a free surface adds to M F: the mirror images of the spheres with the mirrored loads."""
-    length, mirror = configuration.scaled.length, _mirror(configuration)[1]
+    length, mirror = configuration.scaled.length, mirror_of(configuration)[1]
     viscosity, rotational = configuration.viscosity, configuration.rotational
-    load = _mirrored_load(load, mirror)
+    load = mirrored_load(load, mirror)
     return _from_images(
         configuration, lambda d, radii: pushed(d, radii, length, viscosity, rotational, load)
     )
@@ -66,14 +66,14 @@ def _motion(configuration: Configuration, load: Load) -> Motion:
 
 def _tables(configuration: Configuration) -> PairTensor:
     """What it adds to M, as fields."""
-    scaled, (images, mirror) = configuration.scaled, _mirror(configuration)
+    scaled, (images, mirror) = configuration.scaled, mirror_of(configuration)
     vector = separations(scaled.position, images / scaled.length)
     radii = None if scaled.radius is None else radii_of(scaled.radius, scaled.radius)
     dim, turns, beads = configuration.dim, spins(configuration.dim), configuration.beads
 
     def column(load: Load) -> tuple[Field, ...]:
         load = jax.tree.map(lambda x: jnp.broadcast_to(x, (beads, x.shape[1])), load)
-        load = _mirrored_load(load, mirror)
+        load = mirrored_load(load, mirror)
         viscosity, rotational = configuration.viscosity, configuration.rotational
         return pushed(vector, radii, scaled.length, viscosity, rotational, load)
 
@@ -91,7 +91,7 @@ def _disturbance(
     configuration: Configuration, strain_rate: Float[Array, "*beads dim dim"]
 ) -> Motion:
     """What it adds to C : E."""
-    length, mirror = configuration.scaled.length, _mirror(configuration)[1]
+    length, mirror = configuration.scaled.length, mirror_of(configuration)[1]
     rate, rotational = mirror @ strain_rate @ mirror, configuration.rotational
     return _from_images(
         configuration, lambda d, radii: strained(d, radii, length, rate, rotational)

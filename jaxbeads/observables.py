@@ -1,6 +1,7 @@
 """What is measured on states, trajectories and scenes.
 
-Functions of positions take any leading axes (times); pass `solution.states.position`.
+Functions of positions take any leading axes (times); pass `solution.states.position`. Those of loads
+(who exerts which, tension, moments, energy) are written in `loads`.
 """
 
 from typing import Any
@@ -16,29 +17,52 @@ from ._typing import float_array
 from .chain import Chain, straight
 from .configuration import Configuration
 from .domain import NoSlipWall
-from .dynamics import constraint_load, constraint_residual, motion
+from .dynamics import constraint_residual, evaluate, motion
 from .geometry import bonds, cross, norm, tangents
 from .images import wall
-from .instant import Time, applied_load
+from .instant import Time
+from .loads import (
+    bending_moment,
+    constraint_loads,
+    drag,
+    elastic_energy,
+    handed_on,
+    holding_load,
+    load_on_fluid,
+    net_load,
+    shear_force,
+    stress_resultants,
+    tension,
+)
 from .mobility import RPY, AbstractMobility
 from .scene import Scene
-from .state import Load, Motion, State, add_loads, spins
+from .state import Load, Motion, State, spins
 
 __all__ = [
+    "bending_moment",
     "bond_length_error",
+    "constraint_loads",
     "constraint_residual",
     "curvature",
     "deflection",
+    "drag",
+    "elastic_energy",
     "end_to_end_distance",
     "friction_coefficient",
+    "holding_load",
+    "load_on_fluid",
     "minimal_radius_of_curvature",
+    "net_load",
     "orbit_period",
     "orientation",
     "power",
     "pumping_rate",
     "rigid_resistance",
     "settling_velocity",
+    "shear_force",
+    "stress_resultants",
     "swimming_efficiency",
+    "tension",
     "tilt",
 ]
 
@@ -159,20 +183,14 @@ def friction_coefficient(t: Time, state: State, scene: Scene, force: Any) -> Flo
 def power(t: Time, state: State, scene: Scene) -> Float[Array, ""]:
     """Work done on the fluid per time by all forces and torques, of the scene's terms and of its
     constraints: sum of F.v + T.w [force length/time]. In a quiescent fluid it is the dissipation."""
-    moved = motion(t, state, scene)
-    load = _all_loads(t, state, scene)
+    found = evaluate(t, state, scene)
+    moved, load = found.motion, handed_on(t, state, scene, found)
     done = jnp.zeros((), state.position.dtype)
     if load.force is not None:
         done = done + jnp.sum(load.force * moved.velocity)
     if load.torque is not None and moved.spin is not None:
         done = done + jnp.sum(load.torque * moved.spin)
     return done
-
-
-def _all_loads(t: Time, state: State, scene: Scene) -> Load:
-    """Forces and torques on the fluid, of the scene's terms and of its constraints."""
-    load = applied_load(t, state, scene)
-    return add_loads(load, constraint_load(t, state, scene)) if scene.constraints else load
 
 
 def pumping_rate(t: Time, state: State, scene: Scene, along: Any) -> Float[Array, ""]:
@@ -185,7 +203,7 @@ def pumping_rate(t: Time, state: State, scene: Scene, along: Any) -> Float[Array
     """
     if not isinstance(scene.domain, NoSlipWall):
         fail("scene.domain", "be a NoSlipWall", f"it is {type(scene.domain).__name__}")
-    load, above = _all_loads(t, state, scene), wall(scene.configuration(state, scene.rotational))
+    load, above = load_on_fluid(t, state, scene), wall(scene.configuration(state, scene.rotational))
     n = scene.domain.direction
     d = float_array(along)
     d = d - jnp.dot(d, n) * n

@@ -46,8 +46,10 @@ def radii_of(to: Float[Array, "*to"], of: Float[Array, "*of"]) -> Radii:
     return to if to.ndim == 0 else (to[:, None], of[None, :])
 
 
-def pair_sums(fields: Callable[[Any, Any], Sequence[Field]], beads: PyTree) -> list[Array]:
-    """Sums over all beads j of functions of the pairs (i, j).
+def pair_sums(
+    fields: Callable[[Any, Any], Sequence[Field]], beads: PyTree, to: PyTree = None
+) -> list[Array]:
+    """Sums over all beads j of functions of the pairs (i, j), for all i of the beads, or of `to`.
 
     Some beads i at a time, with all j, in a loop that keeps nothing: memory grows like the number of
     beads, also in derivatives, which compute each block anew.
@@ -55,16 +57,17 @@ def pair_sums(fields: Callable[[Any, Any], Sequence[Field]], beads: PyTree) -> l
     **Arguments**: function of two sets of beads, to and of, that returns fields (to, of); arrays with a
     row for each bead, of which it gets some. **Returns** an array of numbers for each field.
     """
-    number = len(jax.tree.leaves(beads)[0])
+    to = beads if to is None else to
+    number, others = (len(jax.tree.leaves(x)[0]) for x in (to, beads))
     # XLA: a product with ones sums faster than `sum`.
-    ones = jnp.ones(number, jax.tree.leaves(beads)[0].dtype)
+    ones = jnp.ones(others, jax.tree.leaves(beads)[0].dtype)
 
     def block(to: PyTree) -> list[Array]:
         return [field @ ones for field in fields(to, beads)]
 
-    count = -(-(number**2) // PAIRS)
-    if count == 1:
-        return block(beads)
+    count = -(-(number * others) // PAIRS)
+    if count <= 1:
+        return block(to)
     rows = -(-number // count)
     count = -(-number // rows)
 
@@ -72,7 +75,7 @@ def pair_sums(fields: Callable[[Any, Any], Sequence[Field]], beads: PyTree) -> l
         padded = jnp.pad(x, [(0, count * rows - number)] + [(0, 0)] * (x.ndim - 1), mode="edge")
         return padded.reshape(count, rows, *x.shape[1:])
 
-    sums = lax.map(jax.checkpoint(block), jax.tree.map(cut, beads))
+    sums = lax.map(jax.checkpoint(block), jax.tree.map(cut, to))
     return [x.ravel()[:number] for x in sums]
 
 

@@ -50,6 +50,7 @@ from jaxbeads.force import (
 )
 from jaxbeads.geometry import bond_lengths
 from jaxbeads.mobility import RPY, FreeDraining
+from jaxbeads.observables import holding_load
 
 TWO = Chain(1.0, (5, 5))
 APART = straight(TWO, [1.0, 0.0], [[0.0, 0.0], [0.0, 9.0]])
@@ -327,3 +328,80 @@ def test_beads_that_are_held_are_not(terms):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check(scene, side_by_side(scene.chain))
+
+
+THREE = Chain(1.0, (4, 3, 5))
+ROW = straight(THREE, [0.3, 1.0], [[0.0, 0.0], [9.0, 1.0], [18.0, 0.0]])
+
+
+def in_space(state):
+    return State(jnp.pad(state.position, ((0, 0), (0, 1))))
+
+
+@pytest.mark.parametrize("dim, last", [(2, False), (3, True)], ids=["first", "last"])
+def test_several_ends_are_held_as_one_by_one(dim, last):
+    ends = THREE.last_beads if last else THREE.first_beads
+    assert ends == ((-9, -6, -1) if last else (0, 4, 7))
+    state = ROW if dim == 2 else in_space(ROW)
+    forces = [Weight([1.0, 0.2, 0.4][:dim]), Bending(30.0)]
+    found, loads = [], []
+    for held in (clamped(ends), [c for k in ends for c in clamped(k)]):
+        scene = Scene(THREE, 1.0, constraints=[Gears(), *held], forces=forces)
+        check(scene, state)
+        assert dynamics.redundancy(0.0, state, scene) is None
+        found.append(dynamics.motion(0.0, state, scene))
+        loads.append([jax.tree.leaves(holding_load(0.0, state, scene, k)) for k in ends])
+    assert len(scene.constraints) == 10
+    for one, other in zip(*map(jax.tree.leaves, found), strict=True):
+        assert np.abs(one - other).max() < 1e-13
+    assert np.abs(found[0].velocity[np.array(ends)]).max() < 1e-13
+    for one, other in zip(*map(jax.tree.leaves, loads), strict=True):
+        assert np.abs(one - other).max() < 1e-11
+
+
+def test_several_ends_follow_laws_of_their_own():
+    # Rows of cilia: each base swings about its bond's direction, at its own phase.
+    def directions(t):
+        angle = 0.3 * jnp.sin(t + jnp.arange(3.0)) - 0.3 * jnp.sin(jnp.arange(3.0))
+        e = jnp.asarray([0.3, 1.0]) / jnp.sqrt(1.09)
+        c, s = jnp.cos(angle), jnp.sin(angle)
+        return jnp.stack([c * e[0] - s * e[1], s * e[0] + c * e[1]], axis=1)
+
+    base = THREE.first_beads
+    held = PrescribedPosition(bead=base), PrescribedSpin(bead=base)
+    driven = PrescribedDirection(directions, base)
+    terms = {"constraints": [Gears(), *held, driven], "forces": [Bending(100.0)]}
+    run = rollout(Scene(THREE, 1.0, **terms), ROW, np.linspace(0.0, 1.0, 3))
+    assert run.code == 0
+    position = np.asarray(run.final.position)
+    first = np.array(base)
+    assert np.abs(position[first] - ROW.position[first]).max() < 1e-5
+    e = (position[first + 1] - position[first]) / 2
+    assert np.abs(e - directions(1.0)).max() < 1e-5
+
+
+@pytest.mark.parametrize(
+    "build, says",
+    [
+        (lambda: PrescribedPosition(bead=()), "`bead` must name at least one, but it is empty"),
+        (lambda: PrescribedSpin(bead=(0, 0.5)), "`bead` must be a whole number, but it is 0.5"),
+        (
+            lambda: check(Scene(THREE, 1.0, constraints=[Gears(), *clamped((0, 3))]), ROW),
+            "`PrescribedDirection.bond` must be a bond within a fibre, .* but bond 3 leads",
+        ),
+        (
+            lambda: check(
+                Scene(
+                    THREE,
+                    1.0,
+                    constraints=[PrescribedPosition(lambda t: jnp.zeros(2), (0, 4))],
+                ),
+                ROW,
+            ),
+            r"`PrescribedPosition.law` must have shape \(2, 2\), but it has shape \(2,\)",
+        ),
+    ],
+)
+def test_several_ends_that_cannot_be_held(build, says):
+    with pytest.raises(ValueError, match=says):
+        build()

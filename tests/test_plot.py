@@ -10,12 +10,20 @@ import jax
 import numpy as np
 import pytest
 from cases import bent, scene
-from matplotlib.collections import LineCollection, QuadMesh
+from matplotlib.collections import LineCollection, PatchCollection, QuadMesh
 from matplotlib.figure import Figure
 from PIL import Image
 
 import jaxbeads
-from jaxbeads import Chain, plot, rollout, straight
+from jaxbeads import (
+    Chain,
+    NoSlipWall,
+    average_flow_field,
+    flow_field,
+    plot,
+    rollout,
+    straight,
+)
 
 TIMES = np.linspace(0.0, 1.2, 7)
 CHAINS = {"planar": Chain(1.0, 6), "spatial": Chain(1.0, 6), "two fibres": Chain(1.0, (4, 2))}
@@ -132,6 +140,62 @@ def test_into_axes_of_ones_own_and_to_a_file(draw, case, tmp_path):
     figure.savefig(tmp_path / "figure.png")
     with Image.open(tmp_path / "figure.png") as image:
         assert image.size == (640, 480)
+
+
+def test_flow_shows_speed_and_beads():
+    solution, chain = trajectory("spatial"), CHAINS["spatial"]
+    model, final, length = scene(chain, 3), solution.final, float(chain.length[0])
+    field = flow_field(1.2, final, model)
+    figure = plot.flow(field, chain, plane=(0, 2), level=0.1, margin=0.3, number=20)
+    ax, bar = figure.axes
+    assert labels(ax) == ("$x/L$", "$z/L$") and bar.get_ylabel() == "speed $|u|$"
+    (image,) = (c for c in ax.collections if isinstance(c, QuadMesh))
+    points = np.asarray(image.get_coordinates())
+    x = np.stack([points[..., 0], np.full(points.shape[:2], 0.1), points[..., 1]], axis=-1)
+    assert max(points.shape[:2]) == 20
+    speed = np.linalg.norm(field(x * length), axis=-1)
+    assert np.allclose(image.get_array(), speed, rtol=1e-9, atol=0)
+    assert image.get_clim()[0] == 0.0
+    position = np.asarray(final.position) / length
+    rings, discs = (c for c in ax.collections if isinstance(c, PatchCollection))
+    corners = [path.get_extents().get_points() for path in rings.get_paths()]
+    assert np.allclose([c.mean(axis=0) for c in corners], position[:, [0, 2]], atol=1e-6)
+    cut = np.abs(position[:, 1] - 0.1) < 1 / length
+    assert len(discs.get_paths()) == cut.sum()
+    assert len(lines(ax)) == 1  # streamlines
+    low, high = np.array([ax.get_xlim(), ax.get_ylim()]).T
+    assert np.allclose(low, position[:, [0, 2]].min(0) - 1 / length - 0.3)
+    assert np.allclose(high, position[:, [0, 2]].max(0) + 1 / length + 0.3)
+
+
+def test_flow_in_a_moving_frame_above_a_wall():
+    solution, chain = trajectory("planar"), CHAINS["planar"]
+    length, lowest = float(chain.length[0]), float(solution.final.position[:, 1].min())
+    floor = NoSlipWall([0.0, lowest - 2.0], [0.0, 1.0])
+    model = scene(chain, flow=False, domain=floor)
+    field = flow_field(1.2, solution.final, model, co_moving=True)
+    ax = plot.flow(field, chain, number=20).axes[0]
+    assert labels(ax) == ("$(x - x_c)/L$", "$(y - y_c)/L$")
+    (image,) = (c for c in ax.collections if isinstance(c, QuadMesh))
+    y = image.get_coordinates()[..., 1] * length + float(solution.final.position[:, 1].mean())
+    nothing = np.ma.getmaskarray(np.ma.masked_invalid(image.get_array()))
+    assert np.array_equal(nothing, y < lowest - 2.0) and nothing.any()
+    # A mean over a run: outlines alone.
+    mean = average_flow_field(
+        jax.tree.map(lambda x: x[:2] if np.ndim(x) else x, solution), scene(chain)
+    )
+    ax = plot.flow(mean, chain, number=10, axes=Figure().add_subplot()).axes[0]
+    rings, discs = (c for c in ax.collections if isinstance(c, PatchCollection))
+    assert len(rings.get_paths()) == chain.beads and not discs.get_paths()
+
+
+def test_a_flow_that_cannot_be_drawn():
+    solution, chain = trajectory("planar"), CHAINS["planar"]
+    field = flow_field(1.2, solution.final, scene(chain))
+    with pytest.raises(ValueError, match="`plane` must name two of the 3 coordinates, but it is"):
+        plot.flow(field, chain, plane=(0, 3))
+    with pytest.raises(ValueError, match="`chain` must have the field's 6 beads, but it has 5"):
+        plot.flow(field, Chain(1.0, 5))
 
 
 @pytest.mark.parametrize("frames, written", [(4, 4), (1, 1), (90, len(TIMES))])

@@ -36,14 +36,17 @@ class AbstractConstraint(eqx.Module):
     """Whether it keeps neighbours together."""
     planar: ClassVar[bool] = False
     """Whether it is for planar scenes only."""
+    internal: ClassVar[bool] = False
+    """Whether it acts between neighbours of a fibre, with no force and no torque in all: a fibre
+    carries it along itself. (What `links` does so too.)"""
 
     @abc.abstractmethod
     def slip(self, t: Float[Array, ""], state: State, motion: Motion, chain: Chain) -> Array:
         """What the constraint sets to zero; affine in `motion`, any shape, independent entries."""
 
     @property
-    def anchor(self) -> int | None:
-        """Index of a bead whose place it prescribes: its fibre is placed by it."""
+    def anchor(self) -> int | tuple[int, ...] | None:
+        """Index of a bead, or of several, whose places it prescribes: fibres are placed by them."""
         return None
 
     def off_law(

@@ -15,6 +15,7 @@ class EqualSpins(AbstractConstraint):
 
     rotational: ClassVar[bool] = True
     turning: ClassVar[bool] = True
+    internal: ClassVar[bool] = True
 
     def slip(self, t: Float[Array, ""], state: State, motion: Motion, chain: Chain) -> Array:
         """Difference of neighbours' spins [1/time], `(bonds, spins)` of the bonds that exist."""

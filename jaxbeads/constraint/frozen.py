@@ -20,6 +20,7 @@ class FrozenJoints(AbstractConstraint):
     rotational: ClassVar[bool] = False
     turning: ClassVar[bool] = True
     planar: ClassVar[bool] = True
+    internal: ClassVar[bool] = True
 
     def slip(self, t: Float[Array, ""], state: State, motion: Motion, chain: Chain) -> Array:
         """Difference of the turning rates of the two bonds at each joint [1/time], `(joints,)`."""

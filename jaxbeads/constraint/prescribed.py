@@ -7,14 +7,15 @@ added: a bond has a prescribed direction in its dim - 1 normal components, becau
 already keeps its length (the set (65) of the paper has one row too many).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from .._checks import index, whole
+from .._checks import fail, index, whole
 from .._functions import check_law, law_of, leaf_function, rate_of
 from ..chain import Chain, check_bond
 from ..geometry import bonds, norm, normals, tangents, unit
@@ -36,6 +37,37 @@ def _law(function: Any) -> Any:
     return None if function is None else _needed(function)
 
 
+Indices = int | tuple[int, ...]
+
+
+def _indices(value: Any) -> Any:
+    """One index, or several as a tuple."""
+    if isinstance(value, (Sequence, np.ndarray)) and not isinstance(value, str):
+        return tuple(value.tolist() if isinstance(value, np.ndarray) else value)
+    return value
+
+
+def _every(value: Indices) -> tuple[int, ...]:
+    return value if isinstance(value, tuple) else (value,)
+
+
+def _check_indices(name: str, value: Indices) -> None:
+    if not _every(value):
+        fail(name, "name at least one", "it is empty")
+    for one in _every(value):
+        whole(name, one, -(10**9))
+
+
+def _at(value: Indices) -> Any:
+    """What takes one row of an array, or several."""
+    return np.array(value) if isinstance(value, tuple) else value
+
+
+def _size(value: Indices, *size: int) -> tuple[int, ...]:
+    """Shape of what a law returns for one, or for several."""
+    return (len(value), *size) if isinstance(value, tuple) else size
+
+
 def _led(name: str, law: Law, t: Array, start: Array, like: Array) -> Array:
     """Where a law has led since the start."""
     now, then = (law_of(name, law, at, like.shape, like.dtype) for at in (t, start))
@@ -50,29 +82,32 @@ class PrescribedPosition(AbstractConstraint):
     - `law`: function of the time that returns a position, shape `(dim,)` [length]; only its derivative
       is used, so the bead keeps its distance from r. `None`: the bead is held (a tether; under `Gears`
       or `Inextensible` a hinge).
-    - `bead`: index of the bead; -1 is the last one.
+    - `bead`: index of the bead; -1 is the last one. Of several beads a sequence of indices, with a law
+      of shape `(their number, dim)`.
     """
 
     rotational: ClassVar[bool] = False
     law: Law | None = eqx.field(converter=_law, default=None)
-    bead: int = eqx.field(static=True, default=0)
+    bead: Indices = eqx.field(static=True, converter=_indices, default=0)
 
     def __check_init__(self) -> None:
-        whole("bead", self.bead, -(10**9))
+        _check_indices("bead", self.bead)
 
     @property
-    def anchor(self) -> int:
-        """The bead."""
+    def anchor(self) -> Indices:
+        """The bead, or several."""
         return self.bead
 
     def check(self, chain: Chain, dim: int) -> None:
         """A bead of the chain, and a law of the scene's dimension."""
-        index("PrescribedPosition.bead", self.bead, chain.beads)
-        check_law("PrescribedPosition.law", self.law, (dim,), chain.radius.dtype)
+        for bead in _every(self.bead):
+            index("PrescribedPosition.bead", bead, chain.beads)
+        size = _size(self.bead, dim)
+        check_law("PrescribedPosition.law", self.law, size, chain.radius.dtype)
 
     def slip(self, t: Float[Array, ""], state: State, motion: Motion, chain: Chain) -> Array:
         """Velocity of the bead minus that of the law [length/time], `(dim,)`."""
-        velocity = motion.velocity[self.bead]
+        velocity = motion.velocity[_at(self.bead)]
         if self.law is None:
             return velocity
         name, size = "PrescribedPosition.law", velocity.shape
@@ -88,9 +123,9 @@ class PrescribedPosition(AbstractConstraint):
         """Its way minus that of the law, and that of the law."""
         if self.law is None:
             return None
-        place = state.position[self.bead]
+        place = state.position[_at(self.bead)]
         led = _led("PrescribedPosition.law", self.law, t, start[0], place)
-        return state.position[self.bead] - start[1].position[self.bead] - led, led
+        return state.position[_at(self.bead)] - start[1].position[_at(self.bead)] - led, led
 
 
 class PrescribedSpin(AbstractConstraint):
@@ -100,21 +135,24 @@ class PrescribedSpin(AbstractConstraint):
 
     - `law`: function of the time that returns the spin, shape `(1,)` in the plane and `(3,)` in space
       [1/time]. `None`: no spin.
-    - `bead`: index of the bead; -1 is the last one.
+    - `bead`: index of the bead; -1 is the last one. Of several beads a sequence, as for
+      `PrescribedPosition`.
     """
 
     rotational: ClassVar[bool] = True
     turning: ClassVar[bool] = True
     law: Law | None = eqx.field(converter=_law, default=None)
-    bead: int = eqx.field(static=True, default=0)
+    bead: Indices = eqx.field(static=True, converter=_indices, default=0)
 
     def __check_init__(self) -> None:
-        whole("bead", self.bead, -(10**9))
+        _check_indices("bead", self.bead)
 
     def check(self, chain: Chain, dim: int) -> None:
         """A bead of the chain, and a law of the scene's dimension."""
-        index("PrescribedSpin.bead", self.bead, chain.beads)
-        check_law("PrescribedSpin.law", self.law, (spins(dim),), chain.radius.dtype)
+        for bead in _every(self.bead):
+            index("PrescribedSpin.bead", bead, chain.beads)
+        size = _size(self.bead, spins(dim))
+        check_law("PrescribedSpin.law", self.law, size, chain.radius.dtype)
 
     def slip(self, t: Float[Array, ""], state: State, motion: Motion, chain: Chain) -> Array:
         """Spin of the bead minus that of the law [1/time], `(spins,)`."""
@@ -122,7 +160,7 @@ class PrescribedSpin(AbstractConstraint):
             raise ValueError(
                 "Argument `motion` must hold spins for PrescribedSpin, but it holds none."
             )
-        spin = motion.spin[self.bead]
+        spin = motion.spin[_at(self.bead)]
         if self.law is None:
             return spin
         return spin - law_of("PrescribedSpin.law", self.law, t, spin.shape, spin.dtype)
@@ -136,30 +174,33 @@ class PrescribedDirection(AbstractConstraint):
     - `law`: function of the time that returns a unit vector, shape `(dim,)`; only its derivative is
       used. `None`: the direction is held.
     - `bond`: index of the bond, from bead `bond` to the next; -1 is the last one. Indices count the
-      rows of neighbours of all fibres; one that leads from a fibre to the next is refused.
+      rows of neighbours of all fibres; one that leads from a fibre to the next is refused. Of several
+      bonds a sequence, as for `PrescribedPosition`.
     """
 
     rotational: ClassVar[bool] = False
     law: Law | None = eqx.field(converter=_law, default=None)
-    bond: int = eqx.field(static=True, default=0)
+    bond: Indices = eqx.field(static=True, converter=_indices, default=0)
 
     def __check_init__(self) -> None:
-        whole("bond", self.bond, -(10**9))
+        _check_indices("bond", self.bond)
 
     def check(self, chain: Chain, dim: int) -> None:
         """A bond of the chain, and a law of the scene's dimension."""
-        check_bond("PrescribedDirection.bond", self.bond, chain)
-        check_law("PrescribedDirection.law", self.law, (dim,), chain.radius.dtype)
+        for bond in _every(self.bond):
+            check_bond("PrescribedDirection.bond", bond, chain)
+        size = _size(self.bond, dim)
+        check_law("PrescribedDirection.law", self.law, size, chain.radius.dtype)
 
     def slip(self, t: Float[Array, ""], state: State, motion: Motion, chain: Chain) -> Array:
         """Normal velocity of the bond's end about its start minus the law's [length/time],
         `(dim - 1,)`."""
-        d = bonds(state.position)[self.bond]
-        e, turning = unit(d), bonds(motion.velocity)[self.bond]
+        d = bonds(state.position)[_at(self.bond)]
+        e, turning = unit(d), bonds(motion.velocity)[_at(self.bond)]
         if self.law is not None:
             name = "PrescribedDirection.law"
-            turning = turning - norm(d) * rate_of(name, self.law, t, d.shape, d.dtype)
-        return normals(e) @ turning
+            turning = turning - norm(d)[..., None] * rate_of(name, self.law, t, d.shape, d.dtype)
+        return jnp.einsum("...nd,...d->...n", normals(e), turning)
 
     def off_law(
         self,
@@ -172,12 +213,13 @@ class PrescribedDirection(AbstractConstraint):
         the bond started along it."""
         if self.law is None:
             return None
-        (before, then), length = start, chain.bond_length[self.bond]
-        now, first = (tangents(s.position)[self.bond] for s in (state, then))
+        (before, then), length = start, chain.bond_length[_at(self.bond)]
+        now, first = (tangents(s.position)[_at(self.bond)] for s in (state, then))
         name = "PrescribedDirection.law"
         along = norm(first - law_of(name, self.law, before, first.shape, first.dtype)) < _ALONG
         led = _led(name, self.law, t, before, first)
-        return jnp.where(along, length, 0.0) * (now - first - led), length * led
+        length = length[..., None]
+        return jnp.where(along[..., None], length, 0.0) * (now - first - led), length * led
 
 
 class PrescribedLengths(AbstractConstraint):
@@ -218,20 +260,23 @@ class PrescribedLengths(AbstractConstraint):
         return (now - first) * chain.bond_mask - led, led
 
 
-def clamped(end: int = 0, *, spinless: bool = False) -> tuple[AbstractConstraint, ...]:
+def clamped(
+    end: int | Sequence[int] = 0, *, spinless: bool = False
+) -> tuple[AbstractConstraint, ...]:
     """Constraints that clamp an end: its bead and the direction of its bond are held.
 
     **Arguments**
 
     - `end`: 0 for the first bead, -1 for the last. Of several fibres, bead `end` of all, with the bond
       to the next bead if it is counted from the first, with that from the bead before if it is counted
-      from the last, as -1.
+      from the last, as -1. Several ends as a sequence: `chain.first_beads`, `chain.last_beads`.
     - `spinless`: for scenes without rotation; otherwise the bead's spin is held too, eq. (59).
     """
+    end = _indices(end)
     held = (PrescribedPosition(bead=end), PrescribedDirection(bond=end))
     return held if spinless else (*held, PrescribedSpin(bead=end))
 
 
-def hinged(end: int = 0) -> tuple[AbstractConstraint, ...]:
-    """Constraints that hinge an end: its bead is held and free to turn."""
-    return (PrescribedPosition(bead=end),)
+def hinged(end: int | Sequence[int] = 0) -> tuple[AbstractConstraint, ...]:
+    """Constraints that hinge an end, or several as for `clamped`: its bead is held, free to turn."""
+    return (PrescribedPosition(bead=_indices(end)),)

@@ -28,6 +28,9 @@ class AbstractForce(eqx.Module):
     """Whether `passed` has something to say."""
     links: ClassVar[bool] = False
     """Whether it keeps neighbours together, as springs do."""
+    internal: ClassVar[bool] = False
+    """Whether it acts between neighbours of a fibre, with no force and no torque in all, as bending
+    does: a fibre carries it along itself. (What `links` does so too.)"""
     stiff: ClassVar[bool] = False
     """Whether it is stiff, as bending is: true of a force that bounds explicit steps."""
 

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._checks import kind, shape
+from .._checks import fail, kind, shape
 from .._functions import along
 from .._typing import float_array
 from ..chain import Chain
@@ -96,6 +96,7 @@ class Bending(AbstractForce):
 
     rotational: ClassVar[bool] = True
     smooth: ClassVar[bool] = True
+    internal: ClassVar[bool] = True
     stiff: ClassVar[bool] = True
     rigidity: Array
     intrinsic_curvature: Curvature
@@ -133,6 +134,11 @@ class Bending(AbstractForce):
             return Load()
         return Load(torque=_torques(self.moments(t, state, chain), chain))
 
+    def energy(self, t: Float[Array, ""], state: State, scene: Setting) -> Float[Array, ""]:
+        """Bending energy [force length], that of `BendingEnergy`. **Raises** `ValueError` for a
+        curvature at rest given as vectors."""
+        return _energy(self, t, state, scene.chain)
+
     def framed(self, chain: Chain) -> bool:
         """Whether the curvature at rest is given along two normals."""
         return _framed(self.intrinsic_curvature, chain)
@@ -149,6 +155,22 @@ class Bending(AbstractForce):
         return _bending_step(self.rigidity, scene)
 
 
+def _energy(
+    force: "Bending | BendingEnergy", t: Float[Array, ""], state: State, chain: Chain
+) -> Float[Array, ""]:
+    """Sum of (K_b / l)(law(phi) - l kappa_0 phi)."""
+    e = tangents(state.position)
+    cosine = jnp.sum(e[:-1] * e[1:], axis=-1)
+    name = f"{type(force).__name__}.intrinsic_curvature"
+    dim = e.shape[1] if isinstance(force, Bending) else 2
+    rest = _rest(name, force.intrinsic_curvature, t, chain, dim)
+    if rest.ndim > 1:
+        fail(name, "be one number for each joint in an energy", f"it has shape {rest.shape}")
+    rest = rest * turning_angles(state.position)
+    joint = force.rigidity * (force.law.energy(cosine) / _joint_length(chain) - rest)
+    return jnp.sum(joint * chain.joint_mask)
+
+
 class DrivingMoment(AbstractForce):
     """Active moments at the inner beads, given as such: torques of -m(s, t) shared as in `Bending`.
 
@@ -161,6 +183,7 @@ class DrivingMoment(AbstractForce):
 
     rotational: ClassVar[bool] = True
     smooth: ClassVar[bool] = True
+    internal: ClassVar[bool] = True
     moment: Curvature
 
     def __init__(self, moment: Any) -> None:
@@ -197,6 +220,7 @@ class BendingEnergy(AbstractPotential):
 
     rotational: ClassVar[bool] = False
     smooth: ClassVar[bool] = True
+    internal: ClassVar[bool] = True
     stiff: ClassVar[bool] = True
     rigidity: Array
     intrinsic_curvature: Curvature
@@ -218,14 +242,7 @@ class BendingEnergy(AbstractPotential):
 
     def energy(self, t: Float[Array, ""], state: State, scene: Setting) -> Float[Array, ""]:
         """Bending energy [force length]."""
-        chain = scene.chain
-        e = tangents(state.position)
-        cosine = jnp.sum(e[:-1] * e[1:], axis=-1)
-        name = f"{type(self).__name__}.intrinsic_curvature"
-        rest = _rest(name, self.intrinsic_curvature, t, chain, 2)
-        rest = rest * turning_angles(state.position)
-        joint = self.rigidity * (self.law.energy(cosine) / _joint_length(chain) - rest)
-        return jnp.sum(joint * chain.joint_mask)
+        return _energy(self, t, state, scene.chain)
 
     def check(self, chain: Chain, dim: int) -> None:
         """Shapes that fit the joints."""

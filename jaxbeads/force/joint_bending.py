@@ -91,6 +91,7 @@ class JointBending(AbstractForce):
     smooth: ClassVar[bool] = True
     oriented: ClassVar[bool] = True
     stiff: ClassVar[bool] = True
+    internal: ClassVar[bool] = True
     rigidity: Array
     intrinsic_curvature: Curvature
     law: AbstractCurvatureLaw

@@ -31,7 +31,8 @@ class AbstractMobility(eqx.Module):
     symmetric, so that its transpose is itself. `disturbance` is C : E, for beads that feel one
     another's resistance to strain. The rest makes it faster: with `tables` the matrices of constraints
     are assembled from fields of pairs (and large scenes are iterated), `gradient` finds the derivatives
-    by the positions for pairs.
+    by the positions for pairs. `fluid_velocity`, if it knows of a fluid between the beads, is what
+    `flow_field` shows.
     """
 
     interacting: ClassVar[bool] = True
@@ -68,6 +69,18 @@ class AbstractMobility(eqx.Module):
 
     def tables(self, configuration: Configuration) -> PairTensor | None:
         """M as fields of pairs; `None` if it has no such form."""
+        return None
+
+    def fluid_velocity(
+        self,
+        configuration: Configuration,
+        load: Load,
+        strain_rate: Float[Array, "*beads 3 3"] | None,
+        points: Float[Array, "points 3"],
+    ) -> Float[Array, "points 3"] | None:
+        """Velocity of the fluid at points [length/time] that loads and the beads' resistance to a rate
+        of strain drive, beside the ambient flow: that of which M and C are means over beads. All is in
+        space. `None` if it knows of no fluid."""
         return None
 
     def gradient(

@@ -6,7 +6,7 @@ from typing import ClassVar, NamedTuple
 import equinox as eqx
 from jaxtyping import Array, Float
 
-from .. import images, mirror, tensors
+from .. import fields, images, mirror, tensors
 from ..configuration import Configuration
 from ..domain import AbstractDomain, FreeSurface, NoSlipWall, Unbounded
 from ..pairs import PairTensor
@@ -20,13 +20,14 @@ class _Form(NamedTuple):
     motion: Callable[[Configuration, Load], Motion]
     disturbance: Callable[[Configuration, Array], Motion]
     tables: Callable[[Configuration], PairTensor]
+    fluid: Callable[[Configuration, Load, Array | None, Array], Array]
 
 
-_FREE = _Form(tensors.rpy_motion, tensors.shear_disturbance, tensors.rpy)
+_FREE = _Form(tensors.rpy_motion, tensors.shear_disturbance, tensors.rpy, fields.unbounded)
 _FORMS: dict[type[AbstractDomain], _Form] = {
     Unbounded: _FREE,
-    NoSlipWall: _Form(images.motion, images.disturbance, images.tables),
-    FreeSurface: _Form(mirror.motion, mirror.disturbance, mirror.tables),
+    NoSlipWall: _Form(images.motion, images.disturbance, images.tables, fields.near_wall),
+    FreeSurface: _Form(mirror.motion, mirror.disturbance, mirror.tables, fields.near_surface),
 }
 """A new domain is a line here."""
 
@@ -78,6 +79,17 @@ class RPY(AbstractMobility):
     def tables(self, configuration: Configuration) -> PairTensor:
         """All pair tensors as `(beads, beads)` fields."""
         return _form(configuration).tables(configuration)
+
+    def fluid_velocity(
+        self,
+        configuration: Configuration,
+        load: Load,
+        strain_rate: Float[Array, "*beads 3 3"] | None,
+        points: Float[Array, "points 3"],
+    ) -> Float[Array, "points 3"]:
+        """The flows of single spheres, added up."""
+        rate = strain_rate if self.strained else None
+        return _form(configuration).fluid(configuration, load, rate, points)
 
     def gradient(
         self,
