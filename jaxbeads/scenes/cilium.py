@@ -83,7 +83,8 @@ def cilium(
     A Gears chain, clamped upright on y = 0: its first bead, the direction of its first bond and the
     spin of that bead are held. The preferred curvature of `TwoStrokes` drives it: nearly straight and
     fast to the right, back slowly by a bend that runs to the tip, so that it pumps to the right, +x.
-    `Contact` keeps beads off the wall and off one another; f = 1.
+    `Contact` keeps beads off the wall and off one another (of fewer than 8 beads, the bend is so sharp
+    that they meet); f = 1.
 
     **Arguments**: number of beads (at least 4); sperm number Sp, eq. (58), with zeta = 2 pi f and gamma
     the normal friction of the rigid straight chain far from walls: small values follow the preferred
@@ -158,7 +159,7 @@ CILIUM = ReadyMade(
     },
     ("pumping rate $Q/(f L^3)$", _pumped),
     co_moving=False,
-    quick="--beads 6",
+    quick="--beads 8",
 )
 
 
@@ -175,9 +176,9 @@ def cilia_row(
 ) -> Case:
     """A row of cilia, each as `cilium`, in the plane of their beat, until the beat is periodic.
 
-    Each beats a part of the period after its neighbour to the left: the wave runs to the right, as the
-    effective stroke does (symplectic), for a small positive lag, against it (antiplectic) for a
-    negative one. `Contact` keeps them off one another.
+    Each beats a part of the period after its neighbour to the right: for a small positive lag the wave
+    runs to the left, against the effective stroke (antiplectic), for a negative one with it
+    (symplectic). Antiplectic ones pump more. `Contact` keeps them off one another.
 
     **Arguments**: number of cilia; number of beads of each (at least 4); distance of neighbours over
     L; lag over the period; sperm number, swing, a and mu as for `cilium`.
@@ -189,7 +190,7 @@ def cilia_row(
     positive("sperm_number", sperm_number)
     finite("swing", swing)
     chain = Chain(radius, (beads,) * cilia)
-    phase = -2 * np.pi * lag * chain.fibre_of_bead[1:-1]
+    phase = 2 * np.pi * lag * chain.fibre_of_bead[1:-1]
     places = spacing * float(chain.length[0]) * (np.arange(cilia) - 0.5 * (cilia - 1))
     return _standing(chain, sperm_number, swing, jnp.asarray(phase), places, viscosity)
 
@@ -215,7 +216,7 @@ CILIA_ROW = ReadyMade(
         "cilia": "number of cilia",
         "beads": "number of beads of each",
         "spacing": "distance of neighbours over L",
-        "lag": "lag behind the neighbour to the left, over the period",
+        "lag": "lag behind the neighbour to the right, over the period",
     },
     _row,
     {
@@ -223,5 +224,5 @@ CILIA_ROW = ReadyMade(
     },
     ("pumping rate of all $Q/(f L^3)$", _pumped),
     co_moving=False,
-    quick="--cilia 2 --beads 4",
+    quick="--cilia 2 --beads 8",
 )

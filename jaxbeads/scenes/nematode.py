@@ -241,5 +241,5 @@ NEMATODE_WALL = ReadyMade(
     },
     ("distance of the centre from the wall over $L$", _above),
     co_moving=False,
-    quick="--beads 5 --height 0.6",
+    quick="--beads 7 --height 0.6",
 )

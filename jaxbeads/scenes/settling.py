@@ -131,11 +131,11 @@ SETTLING = ReadyMade(
 
 def settling_wall(
     beads: int = 15,
-    elasto_gravitational: float = 100.0,
+    elasto_gravitational: float = 10.0,
     height: float = 0.5,
     angle: float = 0.3,
     *,
-    fall: float = 20.0,
+    fall: float = 10.0,
     radius: float = 1.0,
     viscosity: float = 1.0,
     weight: float = 1.0,
@@ -143,9 +143,10 @@ def settling_wall(
     """A flexible fibre that settles along -y beside a vertical no-slip wall, x = 0.
 
     It starts straight, its lower end turned towards the wall (negative angles: away from it). An
-    inclined rod settles along its axis, too: towards the side of its lower end. Near the wall its lower
-    end is slowed and turned away, and it glances off (Russel, Hinch, Leal & Tieffenbruck, J. Fluid
-    Mech. 83 (1977) 273). `Contact` keeps beads off the wall.
+    inclined rod settles along its axis, too: towards the side of its lower end. Near the wall it turns,
+    its lower end away, and glances off, a rigid one at the angle at which it came (Russel, Hinch, Leal &
+    Tieffenbruck, J. Fluid Mech. 83 (1977) 273); too close or too steep, it comes to lie along the
+    wall, on which `Contact` holds it. Far from walls a flexible fibre turns broadside.
 
     **Arguments**: number of beads of a Gears chain (at least 3); B = F L^2 / K_b, eq. (55), with F the
     whole weight; distance of the centre from the wall over L, and angle from the vertical [rad], at the
