@@ -120,7 +120,7 @@ def _write(ready: ReadyMade, case: Case, solution: Solution, folder: Path) -> li
     label, measure = ready.plotted
     written = [folder / f"{ready.name}.h5"]
     pictures = {
-        "shapes": plot.shapes(solution, chain, view=view),
+        "shapes": plot.shapes(ready.shown(solution), chain, view=view),
         "observable": plot.observable(solution.ts, measure(case, solution), label),
     }
     bent = curvature(solution.states.position, chain) if chain.fibres[0] > 2 else np.zeros(1)

@@ -83,7 +83,7 @@ def cilium(
     A Gears chain, clamped upright on y = 0: its first bead, the direction of its first bond and the
     spin of that bead are held. The preferred curvature of `TwoStrokes` drives it: nearly straight and
     fast to the right, back slowly by a bend that runs to the tip, so that it pumps to the right, +x.
-    `Contact` keeps beads off the wall and off one another (of fewer than 8 beads, the bend is so sharp
+    `Contact` keeps beads off the wall and off one another (of fewer than 10 beads, the bend is so sharp
     that they meet); f = 1.
 
     **Arguments**: number of beads (at least 4); sperm number Sp, eq. (58), with zeta = 2 pi f and gamma
@@ -159,7 +159,8 @@ CILIUM = ReadyMade(
     },
     ("pumping rate $Q/(f L^3)$", _pumped),
     co_moving=False,
-    quick="--beads 8",
+    shown=last_period,
+    quick="--beads 10",
 )
 
 
@@ -224,5 +225,6 @@ CILIA_ROW = ReadyMade(
     },
     ("pumping rate of all $Q/(f L^3)$", _pumped),
     co_moving=False,
-    quick="--cilia 2 --beads 8",
+    shown=last_period,
+    quick="--cilia 2 --beads 10",
 )

@@ -219,5 +219,5 @@ SETTLING_WALL = ReadyMade(
     },
     ("distance of the centre from the wall over $L$", _from_wall),
     co_moving=False,
-    quick="--beads 5 --height 1",
+    quick="--beads 5 --height 1.5",
 )
