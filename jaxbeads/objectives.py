@@ -123,8 +123,13 @@ def pumping_efficiency(solution: Solution, scene: Scene, along: Any) -> Float[Ar
     **Raises** `ValueError` for several fibres."""
     if (several := len(scene.chain.fibres)) > 1:
         fail("scene.chain", "be one fibre", f"it has {several}")
-    rate, used = mean_pumping_rate(solution, scene, along), mean_power(solution, scene)
+    both = jax.tree_util.Partial(_pumped_and_used, jnp.asarray(along, float))
+    rate, used = mean_over_time(both, solution, scene)
     return scene.viscosity * rate**2 / (scene.chain.length[0] ** 3 * used)
+
+
+def _pumped_and_used(along: Array, t: Array, state: State, scene: Scene) -> tuple[Array, Array]:
+    return pumping_rate(t, state, scene, along), power(t, state, scene)
 
 
 def shape_error(solution: Solution, data: Any, *, moved: bool = False) -> Float[Array, ""]:

@@ -1,9 +1,9 @@
 """Cilia that stand on a no-slip wall and pump fluid along it: one, and a row of them."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jaxtyping import Array
 
 from .._checks import finite, positive, whole
@@ -13,7 +13,7 @@ from ..constraint import Gears, clamped
 from ..dimensionless import rigidity_from_sperm_number
 from ..domain import NoSlipWall
 from ..force import Bending, Contact
-from ..objectives import mean_pumping_rate, pumping_efficiency
+from ..objectives import pumping_efficiency
 from ..observables import pumping_rate, rigid_resistance
 from ..scene import Scene
 from ..solution import Solution
@@ -97,21 +97,15 @@ def cilium(
     return _standing(chain, sperm_number, swing, 0.0, np.zeros(1), viscosity)
 
 
+_rate = eqx.filter_jit(pumping_rate)  # of one instant: a program for runs of any length
+
+
 def _pumped(case: Case, solution: Solution) -> np.ndarray:
     """Pumping rate to the right over f L^3, at each time."""
-    length = float(case.scene.chain.length[0])
-    return np.asarray(_rates(solution, case.scene)) / (_FREQUENCY * length**3)
-
-
-@eqx.filter_jit
-def _rates(solution: Solution, scene: Scene) -> Array:
-    at = solution.ts, solution.states
-    return lax.map(lambda at: pumping_rate(at[0], at[1], scene, _ALONG), at)
-
-
-@eqx.filter_jit
-def _pumping(period: Solution, scene: Scene) -> Array:
-    return mean_pumping_rate(period, scene, _ALONG)
+    scene, at = case.scene, (solution.ts, solution.states)
+    moments = (jax.tree.map(lambda x, k=k: x[k], at) for k in range(len(solution.ts)))
+    rates = np.array([float(_rate(t, state, scene, _ALONG)) for t, state in moments])
+    return rates / (_FREQUENCY * float(scene.chain.length[0]) ** 3)
 
 
 @eqx.filter_jit
@@ -121,8 +115,7 @@ def _efficiency(period: Solution, scene: Scene) -> Array:
 
 def _volume(case: Case, solution: Solution) -> float:
     """Volume pumped to the right in the last period over L^3."""
-    length = float(case.scene.chain.length[0])
-    return float(_pumping(last_period(solution), case.scene)) / (_FREQUENCY * length**3)
+    return float(np.mean(_pumped(case, last_period(solution))[:-1]))
 
 
 def _share_below(values: np.ndarray) -> float:
@@ -135,7 +128,8 @@ def _share_below(values: np.ndarray) -> float:
 
 def _one(case: Case, solution: Solution) -> dict[str, Value]:
     period = last_period(solution)
-    rate, mean = _pumped(case, period), _volume(case, solution)
+    rate = _pumped(case, period)
+    mean = float(np.mean(rate[:-1]))
     return {
         "pumped": mean,
         "efficiency": float(_efficiency(period, case.scene)),
