@@ -220,5 +220,5 @@ CILIA_ROW = ReadyMade(
     ("pumping rate of all $Q/(f L^3)$", _pumped),
     co_moving=False,
     shown=last_period,
-    quick="--cilia 2 --beads 10",
+    quick="--cilia 2 --beads 5",
 )
