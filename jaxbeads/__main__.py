@@ -115,13 +115,12 @@ def _write(ready: ReadyMade, case: Case, solution: Solution, folder: Path) -> li
     from . import plot
 
     chain = case.scene.chain
-    view = plot.View(co_moving=case.scene.flow is None, stretch=ready.stretch)
+    co_moving = case.scene.flow is None if ready.co_moving is None else ready.co_moving
+    view = plot.View(co_moving=co_moving, stretch=ready.stretch, domain=case.scene.domain)
     label, measure = ready.plotted
     written = [folder / f"{ready.name}.h5"]
-    if ready.co_moving is not None:
-        view = plot.View(co_moving=ready.co_moving)
     pictures = {
-        "shapes": plot.shapes(solution, chain, view=view),
+        "shapes": plot.shapes(ready.shown(solution), chain, view=view),
         "observable": plot.observable(solution.ts, measure(case, solution), label),
     }
     bent = curvature(solution.states.position, chain) if chain.fibres[0] > 2 else np.zeros(1)

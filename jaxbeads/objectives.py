@@ -1,4 +1,4 @@
-"""What is optimised: speed, power, efficiency, thrust, distance, and the distance from data.
+"""What is optimised: speed, power, efficiency, thrust, pumping, distance, and the distance from data.
 
 Pure functions of a trajectory, to be differentiated, batched and compiled. A periodic motion is
 measured over whole periods: give a solution that holds just these, with equal times (a `rollout` from a
@@ -15,10 +15,10 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from ._checks import non_zero, positive, shape
+from ._checks import fail, non_zero, positive, shape
 from .dynamics import constraint_load
 from .geometry import norm
-from .observables import power, swimming_efficiency
+from .observables import power, pumping_rate, swimming_efficiency
 from .scene import Scene
 from .solution import Solution
 from .state import State
@@ -29,6 +29,8 @@ __all__ = [
     "efficiency",
     "mean_over_time",
     "mean_power",
+    "mean_pumping_rate",
+    "pumping_efficiency",
     "shape_error",
     "swimming_speed",
     "thrust",
@@ -100,6 +102,34 @@ def _held(t: Array, state: State, scene: Scene) -> Array:
     """Minus the sum of the constraints' forces."""
     force = constraint_load(t, state, scene).force
     return jnp.zeros_like(state.position[0]) if force is None else -jnp.sum(force, axis=0)
+
+
+def mean_pumping_rate(solution: Solution, scene: Scene, along: Any) -> Float[Array, ""]:
+    """Mean volume of fluid driven along a no-slip wall per time, see `observables.pumping_rate`
+    [length^3/time]."""
+    rate = jax.tree_util.Partial(_pumped, jnp.asarray(along, float))
+    return mean_over_time(rate, solution, scene)
+
+
+def _pumped(along: Array, t: Array, state: State, scene: Scene) -> Array:
+    return pumping_rate(t, state, scene, along)
+
+
+def pumping_efficiency(solution: Solution, scene: Scene, along: Any) -> Float[Array, ""]:
+    """mu Q^2/(L^3 P) of a cilium at a no-slip wall, with its mean pumping rate Q along a direction, its
+    mean power P and its length L. That of a given sequence of shapes depends neither on the viscosity
+    nor on the frequency (after Osterman & Vilfan, PNAS 108 (2011) 15727).
+
+    **Raises** `ValueError` for several fibres."""
+    if (several := len(scene.chain.fibres)) > 1:
+        fail("scene.chain", "be one fibre", f"it has {several}")
+    both = jax.tree_util.Partial(_pumped_and_used, jnp.asarray(along, float))
+    rate, used = mean_over_time(both, solution, scene)
+    return scene.viscosity * rate**2 / (scene.chain.length[0] ** 3 * used)
+
+
+def _pumped_and_used(along: Array, t: Array, state: State, scene: Scene) -> tuple[Array, Array]:
+    return pumping_rate(t, state, scene, along), power(t, state, scene)
 
 
 def shape_error(solution: Solution, data: Any, *, moved: bool = False) -> Float[Array, ""]:

@@ -64,6 +64,7 @@ __all__ = [
     "swimming_efficiency",
     "tension",
     "tilt",
+    "wall_force",
 ]
 
 
@@ -214,6 +215,26 @@ def pumping_rate(t: Time, state: State, scene: Scene, along: Any) -> Float[Array
     if load.torque is not None:
         pushed = pushed + (load.torque @ cross(n, d)) / 2
     return jnp.sum(above.share * pushed) / (np.pi * scene.viscosity)
+
+
+def wall_force(t: Time, state: State, scene: Scene) -> Float[Array, " dim"]:
+    """Force of the fluid on a no-slip wall, what the beads drive [force]: the sum of all forces on the
+    fluid.
+
+    The flow of a force near the wall decays as 1/r^2 or faster, its stress as 1/r^3, so that nothing is
+    left for what is far away: the wall takes up the whole force, along it and across, at any height,
+    and of torques and stresslets none. What beads that touch the wall or are held by it put on it
+    themselves, and the stress of an ambient flow, do not count.
+
+    **Raises** `ValueError` if the domain is no `NoSlipWall`.
+    """
+    if not isinstance(scene.domain, NoSlipWall):
+        fail("scene.domain", "be a NoSlipWall", f"it is {type(scene.domain).__name__}")
+    force = _all_loads(t, state, scene).force
+    if force is None:
+        return jnp.zeros_like(state.position[0])
+    share = wall(scene.configuration(state, scene.rotational)).share
+    return jnp.sum(share[:, None] * force, axis=0)
 
 
 def swimming_efficiency(speed: Any, mean_power: Any, scene: Scene) -> Float[Array, ""]:

@@ -18,12 +18,13 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle
+from matplotlib.patches import Circle, Polygon
 from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
 from ._checks import fail, whole
 from .chain import Chain
+from .domain import AbstractDomain, AbstractHalfSpace, Unbounded
 from .fluid import AverageFlowField, FlowField, flow_field
 from .observables import curvature
 from .solution import Solution
@@ -39,6 +40,10 @@ def _figure(axes: Axes | None, size: tuple[float, float]) -> tuple[Figure, Axes]
     return figure, figure.add_subplot()
 
 
+_UNBOUNDED = Unbounded()
+_CORNERS = ((-1, 0), (1, 0), (1, 1), (-1, 1))
+
+
 @dataclass(frozen=True)
 class View:
     """How positions become points of a picture.
@@ -46,11 +51,13 @@ class View:
     - `co_moving`: subtract the mean position at each time.
     - `plane`: the two coordinates shown.
     - `stretch`: factor on the second one, to see small deflections (the axes then say so).
+    - `domain`: that of the scene. Its plane is drawn if it is seen from the side and does not move.
     """
 
     co_moving: bool = False
     plane: tuple[int, int] = (0, 1)
     stretch: float = 1.0
+    domain: AbstractDomain = _UNBOUNDED
 
     def points(self, solution: Solution, length: float) -> np.ndarray:
         """Points in units of `length`, shape `(times, beads, 2)`."""
@@ -69,6 +76,38 @@ class View:
         factor = "" if self.stretch == 1 else rf"{self.stretch:g}\,"
         ax.set_xlabel(f"${first}/L$")
         ax.set_ylabel(f"${factor}{second}/L$")
+
+    def _boundary(self, length: float) -> tuple[np.ndarray, np.ndarray] | None:
+        """A point of the domain's plane, in units of `length`, and its normal, as they are seen."""
+        if self.co_moving or not isinstance(self.domain, AbstractHalfSpace):
+            return None
+        seen = list(self.plane)
+        point = np.asarray(self.domain.point)[seen] / length
+        normal = np.asarray(self.domain.direction)[seen]
+        return (point, normal) if np.linalg.norm(normal) > 1 - 1e-6 else None
+
+    def shown(self, points: np.ndarray, length: float) -> np.ndarray:
+        """What has to be in the picture, shape `(n, 2)`: the points, and the domain's plane below them
+        unless it is further away than all of them are wide."""
+        points, plane = points.reshape(-1, 2), self._boundary(length)
+        if plane is None:
+            return points
+        (point, normal), scale = plane, np.array([1.0, self.stretch])
+        height = ((points / scale - point) @ normal)[:, None]
+        near = height.min() < np.ptp(points / scale, axis=0).max()
+        return np.concatenate([points, points - height * normal * scale]) if near else points
+
+    def draw_boundary(self, ax: Axes, length: float) -> None:
+        """Draw what is behind the domain's plane; the limits of the axes stay."""
+        plane = self._boundary(length)
+        if plane is None:
+            return
+        (point, normal), scale = plane, np.array([1.0, self.stretch])
+        far = 10 * sum(np.abs(limit).max() for limit in (ax.get_xlim(), ax.get_ylim(), point))
+        along = np.array([normal[1], -normal[0]])
+        corners = [point + far * (k * along - m * normal) for k, m in _CORNERS]
+        wall = Polygon(np.array(corners) * scale, facecolor="0.85", edgecolor="0.3", zorder=0)
+        ax.add_artist(wall)
 
 
 _WHOLE = View()
@@ -105,16 +144,19 @@ def shapes(
     """
     _check(solution, chain)
     whole("number", number, 1)
-    points = view.points(solution, float(chain.length[0]))
-    ts = np.asarray(solution.ts)
+    length = float(chain.length[0])
+    points, ts = view.points(solution, length), np.asarray(solution.ts)
     scale, colours = Normalize(ts[0], ts[-1]), colormaps["viridis"]
     figure, ax = _figure(axes, (5.0, 4.0))
     cuts = np.cumsum(chain.fibres)[:-1]
-    for k in _snapshots(points, number):
+    chosen = _snapshots(points, number)
+    for k in chosen:
         lines = np.split(points[k], cuts)
         ax.add_collection(LineCollection(lines, colors=[colours(scale(ts[k]))], linewidths=1.8))
+    ax.update_datalim(view.shown(points[chosen], length))
     ax.autoscale_view()
     ax.set_aspect("equal", adjustable="datalim")
+    view.draw_boundary(ax, length)
     view.label(ax)
     figure.colorbar(ScalarMappable(scale, colours), ax=ax, label="time $t$")
     return figure
@@ -284,7 +326,8 @@ def movie(
     ts = np.asarray(solution.ts)
     chosen = np.unique(np.linspace(0, len(ts) - 1, frames).round().astype(int))
     margin = 0.05 + float(radii.max())  # beads of a short fibre are large
-    low, high = points.min(axis=(0, 1)) - margin, points.max(axis=(0, 1)) + margin
+    shown = view.shown(points, length)
+    low, high = shown.min(axis=0) - margin, shown.max(axis=0) + margin
     width, height = high - low
     figure = Figure(figsize=(5.0, float(np.clip(5 * height / width, 1.5, 6.0)) + 0.6), dpi=90)
     ax = figure.add_axes((0.13, 0.12, 0.84, 0.8))
@@ -295,6 +338,7 @@ def movie(
         ax.set_xlim(low[0], high[0])
         ax.set_ylim(low[1], high[1])
         ax.set_aspect("equal")
+        view.draw_boundary(ax, length)
         view.label(ax)
         ax.set_title(f"t = {ts[k]:.4g}", fontsize=9)
         beads = [Circle(tuple(p), r) for p, r in zip(points[k], radii, strict=True)]

@@ -11,7 +11,7 @@ from jax import Array
 from jax.tree_util import Partial
 
 from jaxbeads import AB3, Chain, Scene, State, dynamics, from_directors, from_tangents
-from jaxbeads.actuation import FourierCurvature, TravellingWave, TwoPlanes
+from jaxbeads.actuation import FourierCurvature, TravellingWave, TwoPlanes, TwoStrokes
 from jaxbeads.constraint import (
     EqualSpins,
     FrozenJoints,
@@ -83,6 +83,7 @@ def forces(dim):
         BendingEnergy(30.0, 0.02, SineRuleCurvature()),
         Bending(30.0, TravellingWave(0.2, 0.4, 1.5, 0.3)),
         Bending(30.0, FourierCurvature([[0.1, 0.2], [0.0, -0.1]], [[0.0, 0.1], [0.0, 0.3]], 0.7)),
+        Bending(30.0, TwoStrokes(0.4, 0.3, 0.2)),
         DrivingMoment(TravellingWave(2.0, 0.4, 1.5, 0.3)),
         Spring(20.0),
         Contact(5.0, 2.5, 1.0),
@@ -190,6 +191,7 @@ DIMENSIONS = {
     "PrescribedSpin": {"law": RATE},
     "PrescribedDirection": {"law": NUMBER},
     "PrescribedLengths": {"law": LENGTH},
+    "NoSlipWall": {"point": LENGTH, "normal": NUMBER},
 }
 # What the functions among them are given.
 _GIVEN = {

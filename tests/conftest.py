@@ -13,14 +13,14 @@ import jax
 import pytest
 from jaxtyping import install_import_hook
 
-# Compiling is most of the work. Workers and notebooks share what one of them has compiled (they inherit
-# the environment), but for programs that are compiled as fast as read. The compiler does not optimise
-# what runs but once, and is not told from which lines of Python a program comes.
+# Compiling is most of the work. Workers, modules and notebooks share what one of them has compiled (they
+# inherit the environment), down to single operations. The compiler does not optimise what runs but once,
+# and is not told from which lines of Python a program comes.
 _CACHE = "JAX_COMPILATION_CACHE_DIR"
 _OWN = _CACHE not in os.environ
 if _OWN:
     os.environ[_CACHE] = tempfile.mkdtemp(prefix="jaxbeads-tests-")
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 os.environ.setdefault("JAX_TRACEBACK_IN_LOCATIONS_LIMIT", "0")
 if "XLA_FLAGS" not in os.environ:
     # Without optimisation, fusions compile in a third of the time by the older code generator. Not every

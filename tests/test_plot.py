@@ -12,6 +12,7 @@ import pytest
 from cases import bent, scene
 from matplotlib.collections import LineCollection, PatchCollection, QuadMesh
 from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
 from PIL import Image
 
 import jaxbeads
@@ -79,6 +80,35 @@ def test_view_moves_turns_and_stretches():
     final = np.asarray(solution.final.position) / float(chain.length[0])
     expected = (final - final.mean(axis=0))[:, [0, 2]] * [1.0, 20.0]
     assert np.allclose(lines(ax)[-1].get_segments()[0], expected, rtol=0, atol=1e-12)
+
+
+def test_a_wall_is_drawn_where_it_is_seen():
+    solution, chain = trajectory("planar"), CHAINS["planar"]
+    length, low = float(chain.length[0]), float(solution.states.position[:, :, 1].min())
+    wall = NoSlipWall([0.0, low - 2.0], [0.0, 3.0])
+
+    def drawn(**options):
+        ax = plot.shapes(solution, chain, view=plot.View(**options)).axes[0]
+        return ax, [a for a in ax.get_children() if isinstance(a, Polygon)]
+
+    ax, (behind,) = drawn(domain=wall)
+    x, y = behind.get_xy().T
+    assert abs(y.max() - (low - 2.0) / length) < 1e-12 and ax.get_ylim()[0] < y.max()
+    assert x.min() < ax.get_xlim()[0] and ax.get_xlim()[1] < x.max() and y.min() < ax.get_ylim()[0]
+    _, (stretched,) = drawn(domain=wall, stretch=20.0)
+    assert abs(stretched.get_xy()[:, 1].max() - 20 * y.max()) < 1e-9
+    for options in ({}, {"domain": wall, "co_moving": True}):
+        assert not drawn(**options)[1]
+    far, (_,) = drawn(domain=NoSlipWall([0.0, -1000.0], [0.0, 1.0]))
+    assert far.get_ylim()[0] > -5  # the fibre is what is to be seen
+
+
+def test_a_wall_in_space_is_seen_from_the_side_only():
+    solution, chain = trajectory("spatial"), CHAINS["spatial"]
+    floor = NoSlipWall([0.0, 0.0, -9.0], [0.0, 0.0, 1.0])
+    for plane, seen in (((0, 2), 1), ((0, 1), 0)):
+        ax = plot.shapes(solution, chain, view=plot.View(plane=plane, domain=floor)).axes[0]
+        assert sum(isinstance(a, Polygon) for a in ax.get_children()) == seen
 
 
 def test_observable_draws_the_values():

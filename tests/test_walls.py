@@ -462,6 +462,35 @@ def test_pumped_volume_is_the_flux_through_a_plane(turned):
         jb.observables.pumping_rate(0.0, State(jnp.asarray(source[None])), free, d)
 
 
+def test_the_wall_takes_up_the_whole_force():
+    """Traction of Blake's flow on the wall: mu du/dz along it; across it minus the pressure, whose slope
+    along it is mu d2u/dz2, so that the integral of -p over circles is that of pi r^2 dp/dr."""
+    nodes, w = np.polynomial.legendre.leggauss(60)
+    half = np.pi / 4 * (nodes + 1)
+    rho, weight = np.tan(half), w * np.pi / 4 / np.cos(half) ** 2
+    source, h = np.array([0.0, 0.0, 1.3]), 1e-3
+    along = np.zeros(2)
+    towards = 0.0
+    for r, dr in zip(rho, weight, strict=True):
+        near = [blake(np.array([r, 0.0, k * h]), source) for k in (1, 2, 3)]
+        slope = (18 * near[0] - 9 * near[1] + 2 * near[2]) / (6 * h)
+        bend = (-5 * near[0] + 4 * near[1] - near[2]) / h**2
+        # At the angle f from the force du_x/dz is slope_xx cos^2 f + slope_yy sin^2 f.
+        along += dr * np.pi * r * np.array([slope[0, 0] + slope[1, 1], slope[2, 2]])
+        towards += dr * np.pi * r**2 * bend[0, 2]
+    assert abs(along[0] / (8 * np.pi) - 1) < 1e-4 and abs(along[1]) < 1e-4
+    assert abs(towards / (8 * np.pi) - 1) < 1e-4
+    force, torque = np.array([0.7, 0.2, -0.4]), np.array([0.3, 0.9, -0.2])
+    scene = Scene(
+        Chain(1.0, 1), 0.7, constraints=[Gears()], forces=[Loaded(force, torque)], domain=FLOOR
+    )
+    found = jb.observables.wall_force(0.0, State(jnp.array([[0.3, 0.1, 1.3]])), scene)
+    assert np.abs(found - force).max() < 1e-15
+    with pytest.raises(ValueError, match="NoSlipWall"):
+        free = Scene(Chain(1.0, 1), 1.0, forces=[Weight([0.0, 0.0, 1.0])])
+        jb.observables.wall_force(0.0, State(jnp.array([[0.3, 0.1, 1.3]])), free)
+
+
 def test_pumping_in_the_plane_is_that_in_space():
     scene, state = walled(2)
     flat_rate = jb.observables.pumping_rate(0.0, state, scene, [1.0, 0.3])

@@ -1,7 +1,7 @@
 """Laws of time that drive fibres.
 
-Preferred curvature, for `Bending(rigidity, intrinsic_curvature=...)`: `TravellingWave`,
-`FourierCurvature`, `TwoPlanes` (helical waves). Directions, for `PrescribedDirection` and
+Preferred curvature, for `Bending(rigidity, intrinsic_curvature=...)`: `TravellingWave`, `TwoStrokes`
+(cilia), `FourierCurvature`, `TwoPlanes` (helical waves). Directions, for `PrescribedDirection` and
 `PrescribedPosition`: `PlanarBeat`, `HelicalBeat`. Any function of the same form serves as well; one with
 parameters to be varied is an `equinox.Module`.
 """
@@ -11,4 +11,5 @@ from .beat import HelicalBeat as HelicalBeat
 from .beat import PlanarBeat as PlanarBeat
 from .fourier import FourierCurvature as FourierCurvature
 from .planes import TwoPlanes as TwoPlanes
+from .strokes import TwoStrokes as TwoStrokes
 from .wave import TravellingWave as TravellingWave

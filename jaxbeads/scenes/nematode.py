@@ -1,14 +1,15 @@
-"""Undulating worms (section 3.5 of the paper): one, and two side by side."""
+"""Undulating worms (section 3.5 of the paper): one, two side by side, and one near a wall."""
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .._checks import positive, whole
+from .._checks import fail, finite, positive, whole
 from ..actuation import TravellingWave
 from ..chain import Chain, straight
 from ..constraint import Gears
+from ..domain import NoSlipWall
 from ..force import Bending, Contact
 from ..objectives import efficiency, swimming_speed
 from ..scene import Scene
@@ -24,7 +25,14 @@ from .case import (
     worm_amplitude,
 )
 
-__all__ = ["NEMATODE", "NEMATODE_PAIR", "nematode", "nematode_pair"]
+__all__ = [
+    "NEMATODE",
+    "NEMATODE_PAIR",
+    "NEMATODE_WALL",
+    "nematode",
+    "nematode_pair",
+    "nematode_wall",
+]
 
 _FREQUENCY = 1.0  # f; the unit of time
 _STIFFNESS = 22.6
@@ -151,4 +159,87 @@ NEMATODE_PAIR = ReadyMade(
     ("distance swum over $L$", distance_swum),
     co_moving=False,
     quick="--beads 7 --distance 0.8 --antiphase",
+)
+
+
+_PERIODS = 10
+
+
+def nematode_wall(
+    beads: int = 15,
+    height: float = 0.4,
+    angle: float = 0.0,
+    *,
+    radius: float = 1.0,
+    viscosity: float = 1.0,
+) -> Case:
+    """A nematode, as `nematode`, that swims along a no-slip wall, y = 0, towards +x, from straight for
+    ten periods.
+
+    The plane of its beat is normal to the wall. `Contact` keeps beads off the wall.
+
+    **Arguments**: number of beads (at least 4); distance of the straight worm's centre from the wall
+    over L; its heading towards the wall [rad]; a [length]; mu.
+
+    **Raises** `ValueError` for a start behind the wall.
+    """
+    whole("beads", beads, 4)
+    positive("height", height)
+    finite("angle", angle)
+    least = 0.5 * abs(np.sin(angle)) * (1 - 1 / beads) + 0.5 / beads
+    if height < least:
+        must = f"be at least {least:.3g}, where the worm touches the wall"
+        fail("height", must, f"it is {height:g}")
+    chain = Chain(radius, beads)
+    length = float(chain.length[0])
+    bending = _worms(chain, viscosity, 0.0)
+    contact = Contact(20 * bending.rigidity / length**2, 0.1 * radius, 0.1 * radius)
+    scene = Scene(
+        chain,
+        viscosity,
+        constraints=[Gears()],
+        forces=[bending, contact],
+        domain=NoSlipWall([0.0, 0.0], [0.0, 1.0]),
+    )
+    heading = np.array([np.cos(angle), -np.sin(angle)])
+    ts = np.linspace(0, _PERIODS / _FREQUENCY, _PERIODS * SAMPLES + 1)
+    return Case(scene, straight(chain, -heading, [0.0, height * length]), ts)
+
+
+def _above(case: Case, solution: Solution) -> np.ndarray:
+    """Height of the centre over L."""
+    centre = np.asarray(solution.states.position)[:, :, 1].mean(axis=1)
+    return centre / float(case.scene.chain.length[0])
+
+
+def _near_wall(case: Case, solution: Solution) -> dict[str, Value]:
+    centre = np.asarray(solution.states.position).mean(axis=1) / float(case.scene.chain.length[0])
+    way = np.diff(centre[::SAMPLES], axis=0)  # of each period
+    heading = np.unwrap(np.arctan2(way[:, 1], way[:, 0]))
+    return {
+        "speed": float(way[-1, 0]),
+        "turn": float(heading[-1] - heading[1]),
+        "height": float(centre[-1, 1]),
+    }
+
+
+NEMATODE_WALL = ReadyMade(
+    "nematode-wall",
+    "undulating worm near a wall: its speed along it, turn and height after ten periods",
+    nematode_wall,
+    {
+        "beads": "number of beads",
+        "height": "distance of its centre from the wall over L",
+        "angle": "heading towards the wall [rad]",
+    },
+    _near_wall,
+    {
+        "speed": "speed along the wall in the tenth period, over f L",
+        "turn": "direction of its way in the tenth period less that in the second, away from the wall "
+        "positive [rad]",
+        "height": "distance of its centre from the wall over L after ten periods",
+    },
+    ("distance of the centre from the wall over $L$", _above),
+    co_moving=False,
+    quick="--beads 7 --height 0.6",
 )

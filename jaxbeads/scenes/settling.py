@@ -1,15 +1,17 @@
-"""Flexible fibre settling under its weight (section 3.3 of the paper)."""
+"""Flexible fibre settling under its weight (section 3.3 of the paper), and beside a wall."""
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .._checks import finite, kind, positive, whole
-from ..chain import straight
+from .._checks import fail, finite, kind, positive, whole
+from ..chain import Chain, straight
+from ..constraint import Gears
 from ..dimensionless import rigidity_from_elasto_gravitational_number
-from ..force import Weight
+from ..domain import NoSlipWall
+from ..force import Bending, Contact, Weight
 from ..instant import applied_load
-from ..observables import deflection, friction_coefficient, rigid_resistance, tilt
+from ..observables import deflection, friction_coefficient, orientation, rigid_resistance, tilt
 from ..scene import Scene
 from ..solution import Solution
 from ..solver import explicit_step
@@ -17,9 +19,9 @@ from ..solver.stepping import substeps_for
 from .case import Case, ReadyMade, Value
 from .models import GEARS, AbstractModel
 
-__all__ = ["SETTLING", "settling", "settling_friction"]
+__all__ = ["SETTLING", "SETTLING_WALL", "settling", "settling_friction", "settling_wall"]
 
-_UP = np.array([0.0, 1.0])
+_UP, _WALL = np.array([0.0, 1.0]), np.array([1.0, 0.0])
 
 
 def settling(
@@ -124,4 +126,98 @@ SETTLING = ReadyMade(
     },
     ("deflection $A/L$", _deflection),
     quick="--beads 5 --elasto-gravitational 0.1",
+)
+
+
+def settling_wall(
+    beads: int = 15,
+    elasto_gravitational: float = 10.0,
+    height: float = 0.5,
+    angle: float = 0.3,
+    *,
+    fall: float = 10.0,
+    radius: float = 1.0,
+    viscosity: float = 1.0,
+    weight: float = 1.0,
+) -> Case:
+    """A flexible fibre that settles along -y beside a vertical no-slip wall, x = 0.
+
+    It starts straight, its lower end turned towards the wall (negative angles: away from it). An
+    inclined rod settles along its axis, too: towards the side of its lower end. Near the wall it turns,
+    its lower end away, and glances off, a rigid one at the angle at which it came (Russel, Hinch, Leal &
+    Tieffenbruck, J. Fluid Mech. 83 (1977) 273); too close or too steep, it comes to lie along the
+    wall, on which `Contact` holds it. Far from walls a flexible fibre turns broadside.
+
+    **Arguments**: number of beads of a Gears chain (at least 3); B = F L^2 / K_b, eq. (55), with F the
+    whole weight; distance of the centre from the wall over L, and angle from the vertical [rad], at the
+    start; `fall`, the time over that in which the rigid vertical fibre far from walls settles by L; a
+    [length]; mu; weight of a bead [force].
+
+    **Raises** `ValueError` for a start behind the wall.
+    """
+    whole("beads", beads, 3)
+    positive("elasto_gravitational", elasto_gravitational)
+    finite("angle", angle)
+    positive("weight", weight)
+    positive("fall", fall)
+    chain = Chain(radius, beads)
+    length, force = float(chain.length[0]), weight * beads
+    least = 0.5 * abs(np.sin(angle)) * (1 - 1 / beads) + 0.5 / beads
+    positive("height", height)
+    if height < least:
+        must = f"be at least {least:.3g}, where the fibre touches the wall"
+        fail("height", must, f"it is {height:g}")
+    rigidity = rigidity_from_elasto_gravitational_number(elasto_gravitational, force, length)
+    scene = Scene(
+        chain,
+        viscosity,
+        constraints=[Gears()],
+        forces=[
+            Weight(-weight * _UP),
+            Bending(rigidity),
+            Contact(force, 0.1 * radius, 0.1 * radius),
+        ],
+        domain=NoSlipWall(0.0 * _WALL, _WALL),
+    )
+    axis = np.array([-np.sin(angle), -np.cos(angle)])
+    state = straight(chain, axis, height * length * _WALL)
+    flat = straight(chain, [1.0, 0.0]).position
+    along = float(rigid_resistance(flat, chain, viscosity)[0, 0])
+    return Case(scene, state, np.linspace(0, fall * length * along / force, 401))
+
+
+def _from_wall(case: Case, solution: Solution) -> np.ndarray:
+    centre = np.asarray(solution.states.position)[:, :, 0].mean(axis=1)
+    return centre / float(case.scene.chain.length[0])
+
+
+def _beside(case: Case, solution: Solution) -> dict[str, Value]:
+    position, away = solution.states.position, _from_wall(case, solution)
+    turned = np.unwrap(np.asarray(orientation(position)))
+    return {
+        "drift": float(away[-1] - away[0]),
+        "closest": float(jnp.min(position[:, :, 0]) / case.scene.chain.radius - 1),
+        "tilt": float(turned[-1] - turned[0]),
+    }
+
+
+SETTLING_WALL = ReadyMade(
+    "settling-wall",
+    "flexible fibre settling beside a vertical wall: its drift, smallest gap and turning",
+    settling_wall,
+    {
+        "beads": "number of beads",
+        "elasto_gravitational": "B = F L^2 / K_b, eq. (55), F the weight of the fibre",
+        "height": "distance of its centre from the wall over L",
+        "angle": "angle from the vertical, lower end towards the wall [rad]",
+    },
+    _beside,
+    {
+        "drift": "displacement of the centre away from the wall over the fall, over L",
+        "closest": "smallest gap between a bead's surface and the wall, over a",
+        "tilt": "angle by which the fibre turns, its lower end away from the wall [rad]",
+    },
+    ("distance of the centre from the wall over $L$", _from_wall),
+    co_moving=False,
+    quick="--beads 5 --height 1.5",
 )
