@@ -230,7 +230,7 @@ def wall_force(t: Time, state: State, scene: Scene) -> Float[Array, " dim"]:
     """
     if not isinstance(scene.domain, NoSlipWall):
         fail("scene.domain", "be a NoSlipWall", f"it is {type(scene.domain).__name__}")
-    force = _all_loads(t, state, scene).force
+    force = load_on_fluid(t, state, scene).force
     if force is None:
         return jnp.zeros_like(state.position[0])
     share = wall(scene.configuration(state, scene.rotational)).share
