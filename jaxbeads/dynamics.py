@@ -76,16 +76,16 @@ def constraint_matrix(t: Time, state: State, scene: Scene) -> Float[Array, "rows
     return _full_matrix(jnp.asarray(t), state, scene)
 
 
-@eqx.filter_jit
 @with_all_digits
+@eqx.filter_jit
 def _full_matrix(t: Time, state: State, scene: Scene) -> Array:
     operator = scene.operator(state)
     whole = operator.kept() if scene.dense else operator.some(jnp.arange(scene.chain.beads))
     return symmetric(matrix(t, state, scene, whole))
 
 
-@eqx.filter_jit
 @with_all_digits
+@eqx.filter_jit
 def _answer(t: Time, state: State, scene: Scene) -> Array:
     """Multipliers that stop some motion of the beads, whatever their loads; NaN if nothing can."""
     system = saddle_point(t, state, scene, scene.operator(state).kept())
@@ -192,8 +192,8 @@ def constraint_residual(t: Time, state: State, scene: Scene) -> Float[Array, ""]
     return _residual(jnp.asarray(t), state, scene)
 
 
-@eqx.filter_jit
 @with_all_digits
+@eqx.filter_jit
 def _residual(t: Time, state: State, scene: Scene) -> Array:
     moved = solved(t, state, scene).evaluation.motion
     free = free_motion(t, state, scene, scene.operator(state).kept())

@@ -56,8 +56,8 @@ class FlowField(eqx.Module):
         return _velocity(self, flat).reshape(points.shape)
 
 
-@eqx.filter_jit
 @with_all_digits
+@eqx.filter_jit
 def _velocity(field: FlowField, points: Array) -> Array:
     size, here = points.shape[1], field.configuration
     points = _in_space(points)
@@ -163,8 +163,8 @@ def flow_field(t: Time, state: State, scene: Scene, *, co_moving: bool = False) 
     return FlowField(time, scene.flow, mobility, spheres, load, rate, moved, dim, co_moving)
 
 
-@eqx.filter_jit
 @with_all_digits
+@eqx.filter_jit
 def _solved(
     t: Array, state: State, scene: Scene, spheres: Configuration
 ) -> tuple[Load, Motion, Array | None]:

@@ -76,8 +76,8 @@ def free_motion(t: Time, state: State, scene: Scene, operator: Product) -> Motio
     return free if ambient is None else add_motions(free, ambient)
 
 
-@eqx.filter_jit
 @with_all_digits
+@eqx.filter_jit
 def evaluation(t: Time, state: State, scene: Scene, known: "Solved | None") -> Evaluation:
     """As `evaluate`; derivatives of an instant that is `known` take it as it is."""
     return _instant(t, state, scene, known).evaluation
@@ -97,8 +97,8 @@ def _instant(t: Time, state: State, scene: Scene, known: Solved | None) -> Solve
     return solved(t, state, scene) if known is None else known
 
 
-@eqx.filter_jit
 @with_all_digits
+@eqx.filter_jit
 def solved(t: Time, state: State, scene: Scene) -> Solved:
     """One instant, without derivatives."""
     operator = scene.operator(state).kept()
@@ -165,8 +165,8 @@ def _answered(
     return Evaluation(add_motions(motion, system.pulled(change)), change)
 
 
-@eqx.filter_jit
 @with_all_digits
+@eqx.filter_jit
 def derivative(
     t: Time,
     state: State,

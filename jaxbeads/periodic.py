@@ -198,8 +198,8 @@ def _turned_by(first: _Figure, last: _Figure) -> Array:
     return jnp.einsum("rd,kde,re->k", a, generators(a.shape[1]).astype(a.dtype), b) / jnp.sum(a * a)
 
 
-@eqx.filter_jit
 @with_all_digits
+@eqx.filter_jit
 def _solve(
     problem: Problem,
     moving: bool,

@@ -315,8 +315,8 @@ def steady_state(
     return found
 
 
-@eqx.filter_jit
 @with_all_digits
+@eqx.filter_jit
 def _solve(
     problem: Problem, moving: bool, tolerance: Array, max_steps: int
 ) -> tuple[SteadyState, State]:

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from cases import bent
 
-from jaxbeads import Chain, Scene, Solution, State, objectives, observables, rollout
+from jaxbeads import Chain, Scene, Solution, State, objectives, observables, rollout, simulate
 from jaxbeads.constraint import Gears, clamped
 from jaxbeads.force import Bending, Weight
 from jaxbeads.solver import Diffrax, Rosenbrock
+from jaxbeads.solver.rosenbrock import Rodas
 
 COMPILING = "/jax/core/compile/jaxpr_to_mlir_module_duration"
 
@@ -53,6 +54,20 @@ def model(number, *, held=False):
     constraints = [Gears(), *clamped()] if held else [Gears()]
     scene = Scene(chain, 1.0 + number, constraints=constraints, forces=forces)
     return scene, bent(chain, seed=number), np.linspace(0.0, 1.0 + number, 3)
+
+
+def test_a_run_traces_its_step_once(monkeypatch):
+    # The first step's length, the step in the loop and simulate's two programs have it in common.
+    traced, own = [], Rodas.step
+
+    def step(*args):
+        traced.append(args)
+        return own(*args)
+
+    monkeypatch.setattr(Rodas, "step", step)
+    scene, state, ts = model(7)
+    simulate(scene, state, ts, progress=False)
+    assert len(traced) == 1
 
 
 OPTIONS = {

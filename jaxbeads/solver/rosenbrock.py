@@ -205,8 +205,8 @@ def _stages(t0: Array, h: Array, chart: AbstractCoordinates, scene: Scene) -> _S
     return _solved(t0, h, chart, scene)
 
 
-@eqx.filter_jit
 @with_all_digits
+@eqx.filter_jit
 def _solved(t0: Array, h: Array, chart: AbstractCoordinates, scene: Scene) -> _Stages:
     about, x0 = linearise(t0, chart, scene), chart.origin
     jacobian, slope = about.jacobian(), about.time_derivative

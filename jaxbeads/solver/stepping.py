@@ -266,8 +266,8 @@ class AdaptiveSteps(eqx.Module):
         return Carry(y, carry.steps + count, code, a)
 
 
-@eqx.filter_jit
 @with_all_digits
+@eqx.filter_jit
 def _step(
     solver: Any, t0: Array, t1: Array, state: State, scene: Scene, memory: Any, jump: Array
 ) -> Any:
