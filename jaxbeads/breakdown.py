@@ -6,6 +6,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from .dynamics import redundancy
 from .faults import REMEDY, Fault, not_finite, not_smooth
@@ -44,11 +45,16 @@ class SimulationError(RuntimeError):
         return type(self), (self.cause, self.solution), self.__dict__
 
 
+@eqx.filter_jit
+def _bond_errors(scene: Scene, state: State) -> Array:
+    return scene.bond_errors(state)
+
+
 def bond_error(scene: Scene, state: State) -> tuple[float, int]:
     """Largest relative bond-length error and the bond where it is."""
     if scene.chain.beads < 2:
         return 0.0, 0
-    errors = np.abs(np.asarray(scene.bond_errors(state)))
+    errors = np.abs(np.asarray(_bond_errors(scene, state)))
     at = int(np.argmax(errors))
     return float(errors[at]), at
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._checks import fail, finite, index, non_negative, non_zero, positive, shape, whole
+from ._checks import fail, finite, index, known, non_negative, non_zero, positive, shape, whole
 from ._typing import float_array
 from .geometry import unit
 from .state import State
@@ -167,13 +167,19 @@ def from_tangents(chain: Chain, tangents: Any, centre: Any = None) -> Float[Arra
             "tangents", f"have shape ({chain.beads - 1}, 2 or 3)", f"it has shape {tangents.shape}"
         )
     finite("tangents", tangents)
-    non_zero("tangents", jnp.where(chain.bond_mask[:, None], tangents, 1.0))
+    if known(tangents):
+        non_zero("tangents", np.where(chain.bond_mask[:, None], tangents, 1.0))
     dim = tangents.shape[1]
     centre = jnp.zeros(dim) if centre is None else float_array(centre)
     shape("centre", centre, (dim,), (len(chain.fibres), dim))
     finite("centre", centre)
+    return _along(chain, tangents, centre)
+
+
+@eqx.filter_jit
+def _along(chain: Chain, tangents: Array, centre: Array) -> Array:
     bonds = unit(tangents) * chain.bond_length[:, None]
-    return place(chain, bonds, jnp.broadcast_to(centre, (len(chain.fibres), dim)))
+    return place(chain, bonds, jnp.broadcast_to(centre, (len(chain.fibres), tangents.shape[1])))
 
 
 def from_directors(chain: Chain, directors: Any, centre: Any = None) -> State:
@@ -196,9 +202,14 @@ def from_directors(chain: Chain, directors: Any, centre: Any = None) -> State:
     centre = jnp.zeros(dim) if centre is None else float_array(centre)
     shape("centre", centre, (dim,), (len(chain.fibres), dim))
     finite("centre", centre)
+    return _oriented(chain, directors, centre)
+
+
+@eqx.filter_jit
+def _oriented(chain: Chain, directors: Array, centre: Array) -> State:
     p = unit(directors)
-    bonds = linked(chain, p)
-    return State(place(chain, bonds, jnp.broadcast_to(centre, (len(chain.fibres), dim))), p)
+    points = jnp.broadcast_to(centre, (len(chain.fibres), p.shape[1]))
+    return State(place(chain, linked(chain, p), points), p)
 
 
 def linked(chain: Chain, director: Float[Array, "beads dim"]) -> Float[Array, "bonds dim"]:
@@ -237,5 +248,11 @@ def straight(chain: Chain, direction: Any, centre: Any = None) -> State:
     shape("direction", direction, (2,), (3,), (fibres, 2), (fibres, 3))
     finite("direction", direction)
     non_zero("direction", direction)
-    each = jnp.broadcast_to(direction, (fibres, direction.shape[-1]))[chain.fibre_of_bead[:-1]]
-    return State(from_tangents(chain, each, centre))
+    return State(from_tangents(chain, _of_bonds(chain, direction), centre))
+
+
+@eqx.filter_jit
+def _of_bonds(chain: Chain, direction: Array) -> Array:
+    """Of each bond, from those of the fibres or one for all."""
+    fibres = jnp.broadcast_to(direction, (len(chain.fibres), direction.shape[-1]))
+    return fibres[chain.fibre_of_bead[:-1]]

@@ -1,5 +1,6 @@
 """Flexible fibre settling under its weight (section 3.3 of the paper), and beside a wall."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -16,6 +17,7 @@ from ..scene import Scene
 from ..solution import Solution
 from ..solver import explicit_step
 from ..solver.stepping import substeps_for
+from ..state import State
 from .case import Case, ReadyMade, Value
 from .models import GEARS, AbstractModel
 
@@ -98,15 +100,20 @@ def _deflection(case: Case, solution: Solution) -> np.ndarray:
     return np.asarray(height / case.scene.chain.length[0])
 
 
-def _observables(case: Case, solution: Solution) -> dict[str, Value]:
-    scene, final = case.scene, solution.final
-    force = jnp.sum(jnp.asarray(applied_load(0.0, final, scene).force), axis=0)
-    gamma = friction_coefficient(solution.ts[-1], final, scene, force)
+@eqx.filter_jit
+def _measured(t: Array, final: State, scene: Scene) -> dict[str, Array]:
+    force = jnp.sum(jnp.asarray(applied_load(t, final, scene).force), axis=0)
+    length = scene.chain.length[0]
     return {
-        "deflection": float(_deflection(case, solution)[-1]),
-        "friction_ratio": float(gamma / settling_friction(scene)),
-        "tilt": float(tilt(final.position, _UP) / scene.chain.length[0]),
+        "deflection": deflection(final.position, _UP) / length,
+        "friction_ratio": friction_coefficient(t, final, scene, force) / settling_friction(scene),
+        "tilt": tilt(final.position, _UP) / length,
     }
+
+
+def _observables(case: Case, solution: Solution) -> dict[str, Value]:
+    found = _measured(solution.ts[-1], solution.final, case.scene)
+    return {name: float(value) for name, value in found.items()}
 
 
 SETTLING = ReadyMade(

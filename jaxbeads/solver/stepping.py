@@ -40,6 +40,7 @@ def _vector_field(t: Time, state: State, scene: Scene) -> State:
 _TERM = diffrax.ODETerm(_vector_field)
 
 
+@eqx.filter_jit
 def explicit_step(scene: Scene) -> Float[Array, ""]:
     """Time step for explicit solvers: the smallest that a force asks for. With `Bending` the paper's
     mu (2a)^4 / K_b, eq. (39), for the smallest radius and the largest rigidity; infinite without
