@@ -116,7 +116,7 @@ def _write(ready: ReadyMade, case: Case, solution: Solution, folder: Path) -> li
 
     chain = case.scene.chain
     co_moving = case.scene.flow is None if ready.co_moving is None else ready.co_moving
-    view = plot.View(co_moving=co_moving, stretch=ready.stretch, domain=case.scene.domain)
+    view = plot.View.of(case.scene, co_moving=co_moving, stretch=ready.stretch)
     label, measure = ready.plotted
     written = [folder / f"{ready.name}.h5"]
     pictures = {
@@ -129,8 +129,9 @@ def _write(ready: ReadyMade, case: Case, solution: Solution, folder: Path) -> li
     for name, figure in pictures.items():
         written.append(folder / f"{ready.name}_{name}.png")
         figure.savefig(written[-1])
-    written.append(plot.movie(solution, chain, folder / f"{ready.name}.gif", view=view))
-    return written
+    kinds = (".gif", ".mp4") if plot.can_encode() else (".gif",)
+    paths = [folder / f"{ready.name}{kind}" for kind in kinds]
+    return [*written, *plot.movies(solution, chain, paths, view=view)]
 
 
 def _text(value: Value) -> str:
