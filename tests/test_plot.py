@@ -1,5 +1,6 @@
 """Pictures: what is drawn, where and in which units."""
 
+import re
 import subprocess
 import sys
 from functools import cache
@@ -383,6 +384,28 @@ def test_a_movie_as_mp4(tmp_path):
     assert written == paths and b"ftyp" in paths[1].read_bytes()[:16]
     with pytest.raises(ValueError, match="`path` must be a file that can be written"):
         plot.movie(trajectory("planar"), CHAINS["planar"], tmp_path / "no" / "a.mp4", frames=1)
+
+
+def test_a_page_holds_all_that_it_needs(case, tmp_path):
+    pytest.importorskip("k3d")
+    solution, chain = case
+    path = plot.html(solution, chain, tmp_path / "page.html", frames=4)
+    text = path.read_text(encoding="utf-8")
+    assert path.stat().st_size < 4e6 and "<html" in text
+    assert not re.search(r"""(src|href)=["']?(https?:)?//""", text)
+    single = jax.tree.map(lambda x: x[:1] if np.ndim(x) else x, solution)
+    assert plot.html(single, chain, tmp_path / "still.html").stat().st_size > 1000
+    with pytest.raises(ValueError, match=r"`path` must end in \.html"):
+        plot.html(solution, chain, tmp_path / "page.htm")
+    with pytest.raises(ValueError, match="`path` must be a file that can be written"):
+        plot.html(solution, chain, tmp_path / "no" / "page.html")
+
+
+def test_a_page_without_what_makes_it(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "k3d", None)
+    with pytest.raises(ValueError, match="needs the package k3d, which is not installed"):
+        plot.html(trajectory("planar"), CHAINS["planar"], tmp_path / "page.html")
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(

@@ -12,4 +12,5 @@ from .base import View as View
 from .centrelines import shapes as shapes
 from .charts import kymograph as kymograph
 from .charts import observable as observable
+from .page import html as html
 from .streamlines import flow as flow
