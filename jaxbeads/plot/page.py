@@ -1,6 +1,7 @@
 """A page to turn, zoom and play: one file that holds all it needs, by `k3d` (the extra `view`)."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -44,8 +45,10 @@ def html(
     lifted = np.zeros((*position.shape[:2], 3), np.float32)
     lifted[..., : position.shape[2]] = position
     chosen = np.unique(np.linspace(0, len(position) - 1, frames).round().astype(int))
-    colours = (255 * bead_colours(chain)).round().astype(np.uint32) @ np.uint32([65536, 256, 1])
-    shown: np.ndarray | dict[str, np.ndarray] = lifted[chosen[0]]
+    colours: Any = (255 * bead_colours(chain)).round().astype(np.uint32) @ np.uint32(
+        [65536, 256, 1]
+    )
+    shown: Any = lifted[chosen[0]]
     if len(chosen) > 1:
         at = np.linspace(0.0, seconds, len(chosen))
         shown = {f"{t:.4f}": lifted[k] for t, k in zip(at, chosen, strict=True)}
