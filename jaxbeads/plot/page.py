@@ -52,10 +52,9 @@ def html(
     if len(chosen) > 1:
         at = np.linspace(0.0, seconds, len(chosen))
         shown = {f"{t:.4f}": lifted[k] for t, k in zip(at, chosen, strict=True)}
+    sizes: Any = (2 * radii).astype(np.float32)
     page = k3d.plot(name=path.stem, camera_auto_fit=False, time_speed=1.0)
-    page += k3d.points(
-        shown, point_sizes=(2 * radii).astype(np.float32), colors=colours, shader="3d"
-    )
+    page += k3d.points(shown, point_sizes=sizes, colors=colours, shader="3d")
     if position.shape[2] == 3:
         right, up, viewer = Stage(view, lifted[chosen], float(radii.max()), length).camera
     else:
