@@ -27,6 +27,7 @@ from jaxbeads import (
     rollout,
     straight,
 )
+from jaxbeads.constraint import PrescribedPosition
 from jaxbeads.force import Weight
 from jaxbeads.plot.base import bead_colours
 from jaxbeads.plot.space import Stage, camera
@@ -326,7 +327,24 @@ def test_the_camera_looks_across_the_motion_and_gravity_points_down():
     up = camera(view, along, np.array(view.up)) @ np.array([0.0, 1.0, 0.0])
     assert abs(up[0]) < 1e-12 and up[1] > 0.9 and up[2] > 0
     floor = NoSlipWall([0.0, 0.0, -1.0], [0.0, 0.0, 1.0])
-    assert not plot.View.of(Scene(Chain(1.0, 2), 1.0, domain=floor)).co_moving
+    for stays in ({"domain": floor}, {"constraints": [PrescribedPosition()]}):
+        assert not plot.View.of(Scene(Chain(1.0, 2), 1.0, **stays)).co_moving
+    assert plot.View.of(heavy, co_moving=False, up=None).up is None
+
+
+def test_a_shape_that_comes_again_is_drawn_once():
+    solution, chain = trajectory("spatial"), CHAINS["spatial"]
+    there = np.asarray(solution.states.position)
+    back = np.concatenate([there, there[::-1]])
+    turned = eqx.tree_at(
+        lambda s: (s.ts, s.states.position),
+        solution,
+        (jax.numpy.arange(float(len(back))), jax.numpy.asarray(back)),
+    )
+    picture = np.asarray(plot.shapes(turned, chain).axes[0].images[0].get_array()).astype(int)
+    red, blue = picture[..., 0], picture[..., 2]
+    assert np.any(red - blue > 60)  # the last, in yellow
+    assert not np.any((blue - picture[..., 1] > 60) & (red > 60))  # not the first, in violet
 
 
 @pytest.mark.parametrize("wall", [False, True])

@@ -11,6 +11,7 @@ from matplotlib.patches import Polygon
 
 from .._checks import fail
 from ..chain import Chain
+from ..constraint import PrescribedPosition
 from ..domain import AbstractDomain, AbstractHalfSpace, Unbounded
 from ..force import Weight
 from ..scene import Scene
@@ -58,9 +59,10 @@ class View:
 
     @classmethod
     def of(cls, scene: Scene, **options: Any) -> "View":
-        """A view of a scene: its domain, up against its weight, co-moving if there is no flow and
-        nothing that stays. Other options as above."""
-        still = scene.flow is not None or isinstance(scene.domain, AbstractHalfSpace)
+        """A view of a scene: its domain, up against its weight, co-moving if there is no flow, no
+        plane and no bead that is held. Other options as above."""
+        held = any(isinstance(term, PrescribedPosition) for term in scene.constraints)
+        still = held or scene.flow is not None or isinstance(scene.domain, AbstractHalfSpace)
         own: dict[str, Any] = {"domain": scene.domain, "co_moving": not still}
         for force in scene.forces:
             if isinstance(force, Weight):

@@ -69,9 +69,9 @@ def shapes(
 
 
 def _again(shape: np.ndarray, others: np.ndarray, radii: np.ndarray) -> bool:
-    """Whether one of the others is where a shape is."""
+    """Whether one of the others is where a shape is, or so near that one would hide the other."""
     off = np.linalg.norm(others - shape, axis=-1)
-    return bool(np.any(np.all(off < 0.3 * radii, axis=-1)))
+    return bool(np.any(off.mean(axis=-1) < radii.mean()))
 
 
 def _beads(

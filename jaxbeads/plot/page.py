@@ -45,16 +45,17 @@ def html(
     lifted = np.zeros((*position.shape[:2], 3), np.float32)
     lifted[..., : position.shape[2]] = position
     chosen = np.unique(np.linspace(0, len(position) - 1, frames).round().astype(int))
-    colours: Any = (255 * bead_colours(chain)).round().astype(np.uint32) @ np.uint32(
-        [65536, 256, 1]
+    colours: Any = (255 * bead_colours(chain)).round().astype(np.uint32) @ np.array(
+        [65536, 256, 1], np.uint32
     )
     shown: Any = lifted[chosen[0]]
     if len(chosen) > 1:
         at = np.linspace(0.0, seconds, len(chosen))
         shown = {f"{t:.4f}": lifted[k] for t, k in zip(at, chosen, strict=True)}
     sizes: Any = (2 * radii).astype(np.float32)
-    page = k3d.plot(name=path.stem, camera_auto_fit=False, time_speed=1.0)
-    page += k3d.points(shown, point_sizes=sizes, colors=colours, shader="3d")
+    maker: Any = k3d  # whose `plot` is a function beside a module of that name
+    page = maker.plot(name=path.stem, camera_auto_fit=False, time_speed=1.0)
+    page += maker.points(shown, point_sizes=sizes, colors=colours, shader="3d")
     if position.shape[2] == 3:
         right, up, viewer = Stage(view, lifted[chosen], float(radii.max()), length).camera
     else:
