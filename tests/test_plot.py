@@ -361,6 +361,9 @@ def test_a_floor_below_the_beads_has_their_shadows(wall):
     if wall:  # else the bead itself hides it
         assert lit[row, column] < 0.8 * lit[other[1], other[0]]
     assert lit[other[1], other[0]] < 250 and lit[-1, 0] == 255
+    above = NoSlipWall([0.0, 0.0, 1.0], [0.0, 0.0, -1.0])
+    covered = stage([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0]], domain=above)
+    assert not covered.floor.solid and covered.floor.level < -0.5 and covered.from_above
 
 
 def test_fibres_are_told_apart_by_colour():

@@ -42,7 +42,7 @@ class View:
       seen in space.
     - `stretch`: factor on the second one, to see small deflections (the axes then say so).
     - `domain`: that of the scene. Its plane is drawn if it is near and does not move; in a plane view if
-      it is seen from the side.
+      it is seen from the side, in space if it is seen from the fluid.
     - `azimuth`, `elevation`: of the camera in space [degrees], about the direction that is up and above
       the horizon. By default it looks from 20 degrees above, 25 degrees off the direction at right
       angles to where the beads are spread most.

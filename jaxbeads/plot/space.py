@@ -140,6 +140,8 @@ class Stage:
         wall = view.wall(points, length)
         up = _upwards(view, wall)
         self.camera = camera(view, points, up)
+        if wall is not None and self.camera[2] @ _unit(wall[1]) < 0.05:
+            wall = None  # it would hide the beads, as a surface above them
         self.floor = Floor.below(points, radius, up, wall)
         seen = points @ self.camera.T
         self.near, self.far = seen[:, 2].max() + radius, seen[:, 2].min() - radius
