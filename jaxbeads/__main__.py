@@ -55,6 +55,7 @@ def _parser() -> argparse.ArgumentParser:
         sub.add_argument(
             "--out", type=Path, metavar="DIR", help="write pictures, movie, trajectory"
         )
+        sub.add_argument("--quiet", action="store_true", help="print the results alone")
         sub.add_argument("--json", action="store_true", help="print the results as JSON, last line")
         sub.add_argument(
             "--no-cache",
@@ -116,7 +117,7 @@ def _write(ready: ReadyMade, case: Case, solution: Solution, folder: Path) -> li
 
     chain = case.scene.chain
     co_moving = case.scene.flow is None if ready.co_moving is None else ready.co_moving
-    view = plot.View(co_moving=co_moving, stretch=ready.stretch, domain=case.scene.domain)
+    view = plot.View.of(case.scene, co_moving=co_moving, stretch=ready.stretch)
     label, measure = ready.plotted
     written = [folder / f"{ready.name}.h5"]
     pictures = {
@@ -129,8 +130,9 @@ def _write(ready: ReadyMade, case: Case, solution: Solution, folder: Path) -> li
     for name, figure in pictures.items():
         written.append(folder / f"{ready.name}_{name}.png")
         figure.savefig(written[-1])
-    written.append(plot.movie(solution, chain, folder / f"{ready.name}.gif", view=view))
-    return written
+    kinds = (".gif", ".mp4") if plot.can_encode() else (".gif",)
+    paths = [folder / f"{ready.name}{kind}" for kind in kinds]
+    return [*written, *plot.movies(solution, chain, paths, view=view)]
 
 
 def _text(value: Value) -> str:
@@ -159,17 +161,20 @@ def _run(ready: ReadyMade, arguments: argparse.Namespace) -> int:
                 f"{error.strerror}."
             ) from None
         options["file"] = folder / f"{ready.name}.h5"
-    solution = case.simulate(**options)
-    print(solution.summary())
+    solution = case.simulate(**options, progress=not arguments.quiet)
+    if not arguments.quiet:
+        print(solution.summary())
     interrupted = solution.status == Ending.INTERRUPTED.word
     # What a scene shows at its end is not to be seen in a part of it.
     results = {} if interrupted else ready.observables(case, solution)
     for name, value in results.items():
         print(f"  {name:<24}{_text(value)}")
     if folder is not None and not interrupted:
-        print("  drawing pictures and a movie ...")
+        if not arguments.quiet:
+            print("  drawing pictures and a movie ...")
         for path in _write(ready, case, solution, folder):
-            print(f"  wrote {path}")
+            if not arguments.quiet:
+                print(f"  wrote {path}")
     if arguments.json:
         run = {
             "status": solution.status,

@@ -4,8 +4,10 @@ Each check says "Argument `x` must ..., but ...". A value that is being traced i
 passes; shapes are always known.
 """
 
+import dataclasses
 from typing import Any, NoReturn
 
+import equinox as eqx
 import jax
 import numpy as np
 
@@ -108,3 +110,23 @@ def index(name: str, value: int, number: int) -> None:
     """An index, from either end, of one of `number` things."""
     if not -number <= value < number:
         fail(name, f"lie between {-number} and {number - 1}", f"it is {value}")
+
+
+def said(value: Any) -> str:
+    """A term, or a number of one, in a few words: its class, and its numbers where they are few and
+    known, as `Weight(force=[0 -1])`."""
+    if isinstance(value, eqx.Module):
+        shown = ((f.name, getattr(value, f.name, None)) for f in dataclasses.fields(value))
+        parts = [f"{name}={said(part)}" for name, part in shown if part is not None]
+        return type(value).__name__ + (f"({', '.join(parts)})" if parts else "")
+    if isinstance(value, (tuple, list)):
+        parts = [said(part) for part in value]
+        return f"({', '.join(parts)})" if len(parts) < 6 else f"{len(parts)} of them"
+    if eqx.is_array(value):
+        if not known(value) or value.size > 4:
+            return f"{value.dtype}{list(value.shape)}"
+        with np.printoptions(precision=4, suppress=True):
+            return f"{value.item():.6g}" if value.ndim == 0 else str(np.asarray(value))
+    if callable(value):
+        return getattr(value, "__name__", type(value).__name__)
+    return str(value)

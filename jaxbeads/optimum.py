@@ -1,6 +1,7 @@
 """The result of `optimise`."""
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Array, PyTree
 
@@ -45,6 +46,29 @@ class Optimum(eqx.Module):
     violation: Array
     history: History
     ending: Array
+
+    def __str__(self) -> str:
+        """What was found, in a few lines; under a transformation, its structure."""
+        if not known(self):
+            return eqx.tree_pformat(self)
+        history = self.history
+        steps, *many = np.shape(history.loss)
+        of = f" (best of {many[0]} starts)" if many else ""
+        took = f", {float(np.max(history.time)):.3g} s" if steps else ""
+        lines = [f"Optimum: loss {np.nanmin(self.loss):.6g}{of}, {self.status}"]
+        if steps:
+            first = np.nanmin(history.loss[0])
+            norms = (np.nanmin(history.gradient_norm[k]) for k in (0, -1))
+            fell = " to ".join(f"{norm:.2e}" for norm in norms)
+            lines.append(f"{steps} steps{took}, loss at first {first:.6g}, gradient norm {fell}")
+        worst = float(np.max(np.abs(self.violation))) if np.size(self.violation) else 0.0
+        if worst > 0:
+            lines.append(f"constraint violated by {worst:.2e} at most")
+        leaves = jax.tree_util.tree_leaves_with_path(self.values)
+        keys = [(jax.tree_util.keystr(path) or "values", np.shape(leaf)) for path, leaf in leaves]
+        lines.append("values: " + ", ".join(f"{key} {shape}" for key, shape in keys[:8]))
+        lines.append("what happened in each step is in `history`")
+        return "\n  ".join(lines)
 
     @property
     def status(self) -> str:

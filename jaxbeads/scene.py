@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ._checks import described, fail, finite, kind, known
+from ._checks import described, fail, finite, kind, known, said
 from ._typing import float_array
 from .coincidence import overlaid
 from .constraint import AbstractChainConstraint, AbstractConstraint, Joint
@@ -58,6 +58,24 @@ class Scene(Setting):
             kind("flow", self.flow, AbstractFlow)
         _check_kinds("constraints", self.constraints, AbstractConstraint)
         _check_kinds("forces", self.forces, AbstractForce)
+
+    def __str__(self) -> str:
+        """What is in it, in a few lines; numbers that are traced are named by their shapes."""
+        chain = self.chain
+        fibres = "a fibre" if len(chain.fibres) == 1 else f"{len(chain.fibres)} fibres"
+        solved = "factorised" if self.dense else "iterated"
+        lines = {
+            "chain": f"{chain.beads} beads in {fibres}, radius {said(chain.radius)}, "
+            f"gap {said(chain.gap)}",
+            "fluid": f"viscosity {said(self.viscosity)}, domain {said(self.domain)}, flow "
+            f"{'none' if self.flow is None else said(self.flow)}",
+            "mobility": f"{said(self.mobility)}, {'with' if self.rotational else 'without'} spins, "
+            f"systems are {solved}",
+            "constraints": ", ".join(map(said, self.constraints)) or "none",
+            "forces": ", ".join(map(said, self.forces)) or "none",
+        }
+        rows = [f"  {name:<13}{text}" for name, text in lines.items()]
+        return "\n".join(["Scene", *rows, "  (`check(scene, state)` says whether a state fits it)"])
 
     @property
     def rotational(self) -> bool:

@@ -1,9 +1,10 @@
 """`simulate`: a trajectory for people. Chunks, progress, checks, files, restart."""
 
+import contextlib
 import re
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
@@ -232,6 +233,8 @@ class _Run:
     chunk: int | None
     progress: bool
     target: TrajectoryFile | None = None
+    bar: Any = None
+    said: float = 0.0
 
     def __post_init__(self) -> None:
         positive("bond_tolerance", self.bond_tolerance)
@@ -254,7 +257,9 @@ class _Run:
         from tqdm.auto import tqdm  # it warns on import in a notebook without widgets
 
         try:
-            with tqdm(total=intervals, initial=done, disable=not self.progress) as bar:
+            # Until the first interval is over, which may take longer than all others.
+            bar = tqdm(None, "compiling", intervals, disable=not self.progress, initial=done)
+            with bar, self.told(bar):
                 while done < intervals:
                     count = min(length, intervals - done)
                     carry, part = self.advance(carry, done, count, parts, clock)
@@ -271,6 +276,24 @@ class _Run:
         _warn_of_laws(self.scene, self.stepper, solution)
         return solution
 
+    @contextlib.contextmanager
+    def told(self, bar: Any) -> Iterator[None]:
+        """While it runs, its bar tells the time reached and steps taken, also within a chunk."""
+        self.bar = None if bar.disable else bar
+        try:
+            yield
+        finally:
+            self.bar = None
+
+    def tell(self, index: int, carry: Carry) -> None:
+        """The time reached after an interval, at most a few times a second: it waits for the device."""
+        now = time.perf_counter()
+        last = index + 2 == len(self.ts)
+        if self.bar is not None and (last or now - self.said > 0.3):
+            t = f"t = {self.ts[index + 1]:.4g} of {self.ts[-1]:.4g}, {int(carry.steps)} steps"
+            self.bar.set_description(t)
+            self.said = now
+
     def advance(
         self, carry: Carry, done: int, count: int, parts: list[Solution], clock: _Clock
     ) -> tuple[Carry, Solution]:
@@ -281,6 +304,7 @@ class _Run:
         for index in range(done, done + count):
             after, state = _advance(self.stepper, self.scene, after, ts[index : index + 2])
             each.append(state)
+            self.tell(index, after)
         part = _part(self.scene, jax.device_put(ts[done + 1 : done + count + 1]), each, after)
         fine = np.isfinite(np.asarray(part.states.position)).all(axis=(1, 2))
         fine &= np.asarray(part.bond_length_error) <= self.bond_tolerance

@@ -145,7 +145,18 @@ class Solution(eqx.Module):
             lines.append(", ".join(given))
         codes = [int(c) for c in np.unique(np.asarray(self.code)) if c != Outcome.FINE]
         lines += [f"code {c}: {meaning(c)}" for c in codes]
+        lines += self._next()
         return "\n".join(lines)
+
+    def _next(self) -> list[str]:
+        """What to look at next, where something is not as it should be."""
+        if self.status in (Ending.INTERRUPTED.word, Ending.UNFINISHED.word):
+            return ["`resume` continues it, if it was given a file"]
+        if self.status == Ending.BROKEN_DOWN.word:
+            return [
+                "`simulate` says which step, bead and term broke down; `final` is the last state"
+            ]
+        return []
 
     def __repr__(self) -> str:
         shape = getattr(getattr(self.states, "position", None), "shape", ())

@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 import jaxbeads
+from jaxbeads import plot
 from jaxbeads.__main__ import main
 from jaxbeads.scenes import MODELS, SCENES
 
@@ -92,6 +93,8 @@ def test_out_writes_pictures_movie_and_trajectory(shell, tmp_path):
     folder = tmp_path / "new" / "folder"
     lines, results = shell(f"jeffery --beads 4 --out {folder}")
     names = ["jeffery.gif", "jeffery.h5", "jeffery_observable.png", "jeffery_shapes.png"]
+    if plot.can_encode():
+        names.insert(2, "jeffery.mp4")
     assert sorted(path.name for path in folder.iterdir()) == names
     assert all(any(f"wrote {folder / name}" in line for line in lines) for name in names)
     solution = jaxbeads.load(folder / "jeffery.h5")
@@ -103,6 +106,14 @@ def test_out_writes_pictures_movie_and_trajectory(shell, tmp_path):
                 picture.load()
                 assert min(picture.size) > 100
                 assert name.endswith("png") or picture.n_frames == 90
+
+
+def test_quiet_prints_the_results_alone(capsys):
+    assert main(["jeffery", "--beads", "4", "--quiet", "--no-cache"]) == 0
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    names = [line.split()[0] for line in printed.out.splitlines()]
+    assert names == list(BY_NAME["jeffery"].results)
 
 
 def test_out_draws_curvature_where_there_is_some(shell, tmp_path):

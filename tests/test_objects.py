@@ -288,3 +288,46 @@ def test_a_pool_of_workers_hands_errors_on(failure):
             with pytest.raises(type(error)) as caught:
                 pool.apply_async(rethrow, (error,)).get(timeout=120)
             assert str(caught.value) == str(error)
+
+
+def test_a_scene_prints_itself():
+    wave = [Weight([0.0, -2.5]), Bending(3.0)]
+    model = Scene(CHAIN, 1.5, constraints=[Gears()], forces=wave, flow=OscillatingShear(1.0, 2.0))
+    text = str(model)
+    rows = dict(line.split(maxsplit=1) for line in text.splitlines()[1:-1])
+    assert list(rows) == ["chain", "fluid", "mobility", "constraints", "forces"]
+    assert rows["chain"] == "4 beads in a fibre, radius 1, gap 0" and rows["constraints"] == "Gears"
+    assert "viscosity 1.5, domain Unbounded, flow OscillatingShear(" in rows["fluid"]
+    assert "Weight(force=[ 0.  -2.5]), Bending(rigidity=3" in rows["forces"]
+    assert "with spins, systems are factorised" in rows["mobility"]
+    assert max(map(len, text.splitlines())) < 200
+    # Under a transformation, too, and its structure is what it was.
+    traced = []
+    jax.jit(lambda scene: traced.append(str(scene)) or scene.viscosity)(model)
+    assert "viscosity float64[]" in traced[0] and repr(model).startswith("Scene(")
+    assert "none" in str(Scene(Chain(1.0, (2, 3)), 1.0)) and "2 fibres" in str(
+        Scene(Chain(1.0, (2, 3)), 1.0)
+    )
+
+
+def test_an_optimum_prints_itself():
+    def loss(values):
+        return jnp.sum((values["stiffness"] - 2.0) ** 2)
+
+    found = optimise(loss, {"stiffness": jnp.ones(3)}, progress=False, steps=5)
+    first, *lines = str(found).splitlines()
+    assert first.startswith("Optimum: loss ") and found.status in first
+    assert any("loss at first 3, gradient norm 3.46e+00 to" in line for line in lines)
+    assert "  values: ['stiffness'] (3,)" in lines
+    several = optimise(loss, {"stiffness": jnp.ones((2, 3))}, many=True, progress=False, steps=2)
+    assert "(best of 2 starts)" in str(several)
+    traced = []
+    jax.jit(lambda x: traced.append(str(x)) or x.loss)(found)
+    assert traced[0].startswith("Optimum(")
+
+
+def test_the_bar_tells_the_time_and_the_steps(capsys):
+    model = Scene(CHAIN, 1.0, constraints=[Gears()], forces=[Weight([0.0, -1.0]), Bending(1.0)])
+    run = simulate(model, START, TIMES, substeps=3)
+    said = capsys.readouterr().err
+    assert "compiling:   0%" in said and f"t = 2 of 2, {int(run.steps)} steps" in said

@@ -1,5 +1,6 @@
 """Pictures: what is drawn, where and in which units."""
 
+import re
 import subprocess
 import sys
 from functools import cache
@@ -19,12 +20,17 @@ import jaxbeads
 from jaxbeads import (
     Chain,
     NoSlipWall,
+    Scene,
     average_flow_field,
     flow_field,
     plot,
     rollout,
     straight,
 )
+from jaxbeads.constraint import PrescribedPosition
+from jaxbeads.force import Weight
+from jaxbeads.plot.base import bead_colours
+from jaxbeads.plot.space import Stage, camera
 
 TIMES = np.linspace(0.0, 1.2, 7)
 CHAINS = {"planar": Chain(1.0, 6), "spatial": Chain(1.0, 6), "two fibres": Chain(1.0, (4, 2))}
@@ -52,7 +58,7 @@ def labels(ax):
 
 def test_shapes_are_the_centre_lines(case):
     solution, chain = case
-    figure = plot.shapes(solution, chain, number=3)
+    figure = plot.shapes(solution, chain, number=3, view=plot.View(plane=(0, 1)))
     ax, bar = figure.axes
     assert labels(ax) == ("$x/L$", "$y/L$") and bar.get_ylabel() == "time $t$"
     assert ax.get_aspect() == 1  # a circle is a circle
@@ -253,11 +259,182 @@ def test_movie_shows_whole_beads_to_scale(tmp_path):
     assert abs(coloured.sum() / (width * height) - np.pi / 4) < 0.03
 
 
+def spheres(centres):
+    """A solution of one time, and its chain: spheres at centres of which the length is one."""
+    centres = np.asarray(centres, float)
+    chain = Chain(0.5, (1,) * len(centres))
+    like = jax.tree.map(lambda x: x[:1] if np.ndim(x) else x, trajectory("planar"))
+    return eqx.tree_at(lambda s: s.states.position, like, jax.numpy.asarray(centres[None])), chain
+
+
+def stage(centres, radius=0.5, width=200, **view):
+    centres = np.asarray(centres, float)
+    made = Stage(plot.View(**view), centres, radius, 1.0)
+    made.resize(made.low, made.high, width)
+    return made
+
+
+RED, BLUE = [0.9, 0.1, 0.1], [0.1, 0.1, 0.9]
+
+
+def coloured(picture):
+    """Points that are reddish, and bluish."""
+    red, _, blue = np.moveaxis(picture.astype(int), -1, 0)
+    return red - blue > 40, blue - red > 40
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+@pytest.mark.parametrize("overlap", [0.0, 0.6])
+def test_a_nearer_bead_covers_a_farther_one(order, overlap):
+    # Looked at along x from in front: the red one is nearer; also where they overlap in space.
+    centres = np.array([[1.0 - overlap, 0.0, 0.0], [0.0, 0.3, 0.0]])
+    made = stage(centres, azimuth=0.0, elevation=0.0)
+    colours = np.array([RED, BLUE])
+    order = list(order)
+    red, blue = coloured(made.paint(centres[order], np.full(2, 0.5), colours[order]))
+    whole = np.pi / 4 / made.step**2
+    assert abs(red.sum() / whole - 1) < (0.05 if not overlap else 0.2)
+    assert 0.2 < blue.sum() / whole < 0.6
+    picture = made.paint(centres, np.full(2, 0.5), colours)
+    assert np.array_equal(picture, made.paint(centres[::-1], np.full(2, 0.5), colours[::-1]))
+    # From behind the other one is whole.
+    behind = stage(centres, azimuth=180.0, elevation=0.0)
+    red, blue = coloured(behind.paint(centres, np.full(2, 0.5), colours))
+    assert blue.sum() > red.sum()
+
+
+def test_spheres_are_round_to_scale_and_where_the_camera_sees_them():
+    centres = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 3.0]])
+    made = stage(centres, width=400, azimuth=-90.0, elevation=0.0)
+    assert np.allclose(made.camera, [[1, 0, 0], [0, 0, 1], [0, -1, 0]], atol=1e-12)
+    radii = np.array([0.5, 0.25])
+    red, blue = coloured(made.paint(centres, radii, np.array([RED, BLUE])))
+    for mask, centre, radius in zip((red, blue), centres, radii, strict=True):
+        rows, columns = np.nonzero(mask)
+        at = made.low + made.step * (np.array([columns.mean(), rows.mean()]) + 0.5)
+        assert np.allclose(at, centre[[0, 2]], rtol=0, atol=2 * made.step)
+        for side in (rows, columns):
+            assert abs(np.ptp(side) + 1 - 2 * radius / made.step) <= 2
+
+
+def test_the_camera_looks_across_the_motion_and_gravity_points_down():
+    along = np.linspace(0, 1, 20)[:, None] * [1.0, 2.0, 0.0]
+    seen = np.ptp(along @ camera(plot.View(), along, np.array([0.0, 0.0, 1.0]))[0])
+    assert abs(seen / np.sqrt(5) - np.cos(np.radians(25))) < 1e-9
+    heavy = Scene(Chain(1.0, 2), 1.0, forces=[Weight([0.0, -2.0, 0.0])])
+    view = plot.View.of(heavy)
+    assert view.up == (0.0, 1.0, 0.0) and view.co_moving
+    up = camera(view, along, np.array(view.up)) @ np.array([0.0, 1.0, 0.0])
+    assert abs(up[0]) < 1e-12 and up[1] > 0.9 and up[2] > 0
+    floor = NoSlipWall([0.0, 0.0, -1.0], [0.0, 0.0, 1.0])
+    for stays in ({"domain": floor}, {"constraints": [PrescribedPosition()]}):
+        assert not plot.View.of(Scene(Chain(1.0, 2), 1.0, **stays)).co_moving
+    assert plot.View.of(heavy, co_moving=False, up=None).up is None
+
+
+def test_a_shape_that_comes_again_is_drawn_once():
+    solution, chain = trajectory("spatial"), CHAINS["spatial"]
+    there = np.asarray(solution.states.position)
+    back = np.concatenate([there, there[::-1]])
+    turned = eqx.tree_at(
+        lambda s: (s.ts, s.states.position),
+        solution,
+        (jax.numpy.arange(float(len(back))), jax.numpy.asarray(back)),
+    )
+    picture = np.asarray(plot.shapes(turned, chain).axes[0].images[0].get_array()).astype(int)
+    red, blue = picture[..., 0], picture[..., 2]
+    assert np.any(red - blue > 60)  # the last, in yellow
+    assert not np.any((blue - picture[..., 1] > 60) & (red > 60))  # not the first, in violet
+
+
+@pytest.mark.parametrize("wall", [False, True])
+def test_a_floor_below_the_beads_has_their_shadows(wall):
+    domain = NoSlipWall([0.0, 0.0, -1.5], [0.0, 0.0, 1.0])
+    made = stage([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0]], **({"domain": domain} if wall else {}))
+    assert abs(made.floor.level + 1.5) < 1e-12 if wall else made.floor.level < -0.5
+    centres = np.zeros((1, 3))
+    lit = made.paint(centres, np.array([0.5]), np.array([RED])).mean(axis=2)
+    foot = (made.camera @ [0.0, 0.0, made.floor.level])[:2]
+    column, row = ((foot - made.low) / made.step).astype(int)
+    away = (made.camera @ [1.6, 0.0, made.floor.level])[:2]
+    other = ((away - made.low) / made.step).astype(int)
+    if wall:  # else the bead itself hides it
+        assert lit[row, column] < 0.8 * lit[other[1], other[0]]
+    assert lit[other[1], other[0]] < 250 and lit[-1, 0] == 255
+    above = NoSlipWall([0.0, 0.0, 1.0], [0.0, 0.0, -1.0])
+    covered = stage([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0]], domain=above)
+    assert not covered.floor.solid and covered.floor.level < -0.5 and covered.from_above
+
+
+def test_fibres_are_told_apart_by_colour():
+    one, several = Chain(1.0, 6), Chain(1.0, (3, 2, 1))
+    each = bead_colours(several)
+    assert len(np.unique(each, axis=0)) == 3 and np.array_equal(each[0], each[2])
+    assert len(np.unique(bead_colours(one), axis=0)) == 6
+    solution, chain = spheres([[0, 0, 0], [2, 0, 0]])
+    picture = np.asarray(plot.shapes(solution, chain).axes[0].images[0].get_array()).astype(int)
+    left, right = (half[np.ptp(half, axis=2) > 60] for half in np.array_split(picture, 2, axis=1))
+    assert left[:, 2].mean() > left[:, 0].mean() and right[:, 2].mean() < right[:, 0].mean()
+
+
+@pytest.mark.parametrize("name", ["planar", "spatial"])
+def test_pictures_and_movies_fill_their_frames(name, tmp_path):
+    solution, chain = trajectory(name), CHAINS[name]
+    path = plot.movie(solution, chain, tmp_path / "movie.gif", frames=3)
+    with Image.open(path) as movie:
+        width, height = movie.size
+        pixels = np.asarray(movie.convert("RGB")).astype(int)
+    assert 900 <= width <= 1200 and height < 900 and path.stat().st_size < 2e6
+    inked = pixels.mean(axis=2) < 252
+    assert pixels[0, 0].min() == 255  # paper is white
+    filled = [(np.ptp(np.nonzero(inked.any(axis=k))[0]) + 1) / (width, height)[k] for k in (0, 1)]
+    assert max(filled) > 0.9 and min(filled) > 0.6
+    # Still pictures: as wide over high as what they show, and a bar.
+    figure = plot.shapes(solution, chain)
+    figure.savefig(tmp_path / "shapes.png")
+    with Image.open(tmp_path / "shapes.png") as image:
+        inked = np.asarray(image.convert("L")) < 252
+    filled = [(np.ptp(np.nonzero(inked.any(axis=k))[0]) + 1) / inked.shape[1 - k] for k in (0, 1)]
+    assert min(filled) > 0.85
+
+
+def test_a_movie_as_mp4(tmp_path):
+    pytest.importorskip("imageio_ffmpeg")
+    paths = [tmp_path / "a.gif", tmp_path / "a.mp4"]
+    written = plot.movies(trajectory("spatial"), CHAINS["spatial"], paths, frames=3)
+    assert written == paths and b"ftyp" in paths[1].read_bytes()[:16]
+    with pytest.raises(ValueError, match="`path` must be a file that can be written"):
+        plot.movie(trajectory("planar"), CHAINS["planar"], tmp_path / "no" / "a.mp4", frames=1)
+
+
+def test_a_page_holds_all_that_it_needs(case, tmp_path):
+    pytest.importorskip("k3d")
+    solution, chain = case
+    path = plot.html(solution, chain, tmp_path / "page.html", frames=4)
+    text = path.read_text(encoding="utf-8")
+    assert path.stat().st_size < 4e6 and "<html" in text
+    assert not re.search(r"""(src|href)=["']?(https?:)?//""", text)
+    single = jax.tree.map(lambda x: x[:1] if np.ndim(x) else x, solution)
+    assert plot.html(single, chain, tmp_path / "still.html").stat().st_size > 1000
+    with pytest.raises(ValueError, match=r"`path` must end in \.html"):
+        plot.html(solution, chain, tmp_path / "page.htm")
+    with pytest.raises(ValueError, match="`path` must be a file that can be written"):
+        plot.html(solution, chain, tmp_path / "no" / "page.html")
+
+
+def test_a_page_without_what_makes_it(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "k3d", None)
+    with pytest.raises(ValueError, match="needs the package k3d, which is not installed"):
+        plot.html(trajectory("planar"), CHAINS["planar"], tmp_path / "page.html")
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(
     "call, says",
     [
         (lambda s, c, d: plot.movie(s, c, d / "none" / "a.gif", frames=2), "No such file or dir"),
-        (lambda s, c, d: plot.movie(s, c, d / "a.mp4"), "`path` must end in .gif, but it is"),
+        (lambda s, c, d: plot.movie(s, c, d / "a.mp4"), "in .gif where imageio-ffmpeg is not inst"),
+        (lambda s, c, d: plot.movie(s, c, d / "a.avi"), "`path` must end in .gif or .mp4, but it"),
         (lambda s, c, d: plot.movie(s, c, d / "a.gif", frames=0), "`frames` must be at least 1"),
         (lambda s, c, d: plot.shapes(s, c, number=0), "`number` must be at least 1"),
         (
@@ -269,6 +446,20 @@ def test_movie_shows_whole_beads_to_scale(tmp_path):
             "name two of the 2 coord",
         ),
         (lambda s, c, d: plot.shapes(s, Chain(1.0, 5)), "`chain` must have the solution's 6 beads"),
+        (
+            lambda s, c, d: plot.shapes(trajectory("spatial"), c, view=plot.View(elevation=100.0)),
+            "`elevation` must lie between",
+        ),
+        (
+            lambda s, c, d: plot.shapes(trajectory("spatial"), c, view=plot.View(stretch=2.0)),
+            "`stretch` must be 1 in space",
+        ),
+        (
+            lambda s, c, d: plot.shapes(
+                trajectory("spatial"), c, view=plot.View(up=[0.0, 0.0, 0.0])
+            ),
+            "`up` must be a direction in space",
+        ),
         (lambda s, c, d: plot.kymograph(s, Chain(1.0, 5)), "`chain` must have the solution's 6"),
         (
             lambda s, c, d: plot.kymograph(s, Chain(1.0, (2, 4))),
@@ -276,7 +467,8 @@ def test_movie_shows_whole_beads_to_scale(tmp_path):
         ),
     ],
 )
-def test_what_cannot_be_drawn(call, says, tmp_path):
+def test_what_cannot_be_drawn(call, says, tmp_path, monkeypatch):
+    monkeypatch.setattr("jaxbeads.plot.animation.can_encode", lambda: False)
     with pytest.raises(ValueError, match=says) as caught:
         call(trajectory("planar"), CHAINS["planar"], tmp_path)
     assert str(caught.value).startswith("Argument `") and "\n" not in str(caught.value)
@@ -287,7 +479,8 @@ def test_a_single_state_can_be_drawn(case, tmp_path):
     # As in the solution of a run that broke down in its first step.
     solution, chain = case
     single = jax.tree.map(lambda x: x[:1] if np.ndim(x) else x, solution)
-    assert len(lines(plot.shapes(single, chain).axes[0])) == 1
+    assert len(lines(plot.shapes(single, chain, view=plot.View(plane=(0, 1))).axes[0])) == 1
+    assert len(plot.shapes(single, chain).axes) == 2
     plot.kymograph(single, chain).savefig(tmp_path / "kymograph.png")
     plot.movie(single, chain, tmp_path / "movie.gif")
 

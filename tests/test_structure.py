@@ -46,7 +46,12 @@ ORDER = [
     {"__main__"},
 ]
 # What the files of a sub-package may import from one another.
-SHARED = {"solver": {"base", "watch"}, "force": {"base", "curvature"}, "scenes": {"case", "models"}}
+SHARED = {
+    "solver": {"base", "watch"},
+    "force": {"base", "curvature"},
+    "scenes": {"case", "models"},
+    "plot": {"base", "space"},
+}
 RANK = {name: rank for rank, row in enumerate(ORDER) for name in row}
 
 

@@ -194,5 +194,6 @@ HELICAL_BEATING = ReadyMade(
     },
     ("distance of the tip from the axis $d/L$", _tip_distance),
     co_moving=False,
+    shown=last_period,
     quick="--beads 5 --sperm-number 1.5",
 )

@@ -96,5 +96,6 @@ SPIRAL = ReadyMade(
     },
     ("distance swum over $L$", distance_swum),
     co_moving=False,
+    shown=last_period,
     quick="--beads 7 --frequency 10.0",
 )

@@ -1,0 +1,102 @@
+"""Shapes over time: centre lines in the plane, beads in space."""
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+
+from .._checks import whole
+from ..chain import Chain
+from ..solution import Solution
+from .base import WHOLE, View, bead_colours, check_chain, figure_for, fitted
+from .space import Stage
+
+_BAR = 1.25  # width of the bar of colours [inches]
+
+
+def _snapshots(points: np.ndarray, number: int) -> np.ndarray:
+    """Times between which the shape changes equally much, so that fast events are seen."""
+    if len(points) == 1:
+        return np.zeros(1, int)
+    shape = points - points.mean(axis=1, keepdims=True)
+    change = np.linalg.norm(np.diff(shape, axis=0), axis=2).mean(axis=1)
+    path = np.concatenate([[0.0], np.cumsum(change + 1e-3 * change.mean() + 1e-300)])
+    return np.unique(np.searchsorted(path, np.linspace(0, path[-1] * (1 - 1e-12), number)))
+
+
+def shapes(
+    solution: Solution,
+    chain: Chain,
+    *,
+    number: int | None = None,
+    view: View = WHOLE,
+    axes: Axes | None = None,
+) -> Figure:
+    """Shapes at `number` saved times (12, in space 6), coloured by time: centre lines in the plane, lit
+    beads to scale in space, where of several fibres each has its colour and is pale at first.
+
+    The times are such that the shape changes equally much from one to the next. **Returns** a figure
+    with equal axes in units of the first fibre's length L.
+    """
+    check_chain(solution, chain)
+    if number is not None:
+        whole("number", number, 1)
+    length = float(chain.length[0])
+    if view.spatial(solution):
+        return _beads(solution, chain, number or 6, view, axes, length)
+    points, ts = view.points(solution, length), np.asarray(solution.ts)
+    scale, colours = Normalize(ts[0], ts[-1]), colormaps["viridis"]
+    chosen = _snapshots(points, number or 12)
+    shown = view.shown(points[chosen], length)
+    low, high = shown.min(axis=0), shown.max(axis=0)
+    margin = 0.04 * max(*(high - low), 1e-3)
+    _, _, size = fitted(low - margin, high + margin, 4.8, 1.3, 4.8)
+    figure, ax = figure_for(axes, (size[0] + 0.7 + _BAR, size[1] + 0.6))
+    cuts = np.cumsum(chain.fibres)[:-1]
+    for k in chosen:
+        lines = np.split(points[k], cuts)
+        ax.add_collection(LineCollection(lines, colors=[colours(scale(ts[k]))], linewidths=1.8))
+    ax.update_datalim(shown)
+    ax.autoscale_view()
+    ax.set_aspect("equal", adjustable="datalim")
+    view.draw_boundary(ax, length)
+    view.label(ax)
+    figure.colorbar(ScalarMappable(scale, colours), ax=ax, label="time $t$")
+    return figure
+
+
+def _again(shape: np.ndarray, others: np.ndarray, radii: np.ndarray) -> bool:
+    """Whether one of the others is where a shape is, or so near that one would hide the other."""
+    off = np.linalg.norm(others - shape, axis=-1)
+    return bool(np.any(off.mean(axis=-1) < radii.mean()))
+
+
+def _beads(
+    solution: Solution, chain: Chain, number: int, view: View, axes: Axes | None, length: float
+) -> Figure:
+    points, radii = view.positions(solution, length), np.asarray(chain.radii) / length
+    chosen, ts = _snapshots(points, number), np.asarray(solution.ts)
+    # Of shapes in one place, as after a period, the last is seen.
+    chosen = chosen[[not _again(points[k], points[chosen[chosen > k]], radii) for k in chosen]]
+    scale = Normalize(ts[0], ts[-1] if len(ts) > 1 else ts[0] + 1)
+    stage = Stage(view, points[chosen], float(radii.max()), length)
+    low, high, size = fitted(stage.low, stage.high, 6.0, 1.5, 5.5)
+    stage.resize(low, high, round(150 * size[0]))
+    shares = [float(scale(ts[k])) for k in chosen]
+    if len(chain.fibres) == 1:
+        bar = colormaps["viridis"]
+        each = [np.tile(bar(share)[:3], (chain.beads, 1)) for share in shares]
+    else:
+        bar, own = colormaps["Greys"], bead_colours(chain)
+        each = [own + (1 - own) * 0.7 * (shares[-1] - share) for share in shares]
+    figure, ax = figure_for(axes, (size[0] + _BAR, size[1] + 0.4))
+    picture = stage.paint(
+        points[chosen].reshape(-1, 3), np.tile(radii, len(chosen)), np.concatenate(each)
+    )
+    ax.imshow(picture, extent=stage.extent, origin="lower")
+    stage.furnish(ax, view.co_moving)
+    figure.colorbar(ScalarMappable(scale, bar), ax=ax, label="time $t$")
+    return figure

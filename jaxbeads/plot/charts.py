@@ -1,0 +1,60 @@
+"""Curves and maps: an observable over time, a kymograph of curvature."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from .._checks import fail
+from ..chain import Chain
+from ..observables import curvature
+from ..solution import Solution
+from .base import check_chain, figure_for
+
+
+def observable(
+    ts: Any, values: Any, label: str, *, time_label: str = "time $t$", axes: Axes | None = None
+) -> Figure:
+    """A quantity over time. **Returns** a figure."""
+    figure, ax = figure_for(axes, (5.0, 3.2))
+    ax.plot(np.asarray(ts), np.asarray(values), color="#31688e", linewidth=1.6)
+    ax.xaxis.set_major_locator(MaxNLocator(6))
+    ax.set_xlabel(time_label)
+    ax.set_ylabel(label)
+    ax.grid(alpha=0.3)
+    return figure
+
+
+def kymograph(solution: Solution, chain: Chain, *, axes: Axes | None = None) -> Figure:
+    """Curvature times length along the (first) fibre, over time.
+
+    Signed in the plane, where red bends anticlockwise from the first bead to the last.
+    **Returns** a figure. **Raises** `ValueError` for fewer than three beads.
+    """
+    check_chain(solution, chain)
+    beads = chain.fibres[0]
+    if beads < 3:
+        fail("chain", "have at least three beads in its first fibre", f"it has {beads}")
+    length, ts = float(chain.length[0]), np.asarray(solution.ts)
+    values = np.asarray(curvature(solution.states.position, chain))[:, : beads - 2] * length
+    planar = solution.states.position.shape[2] == 2
+    most = max(float(np.max(np.abs(values))), 1e-6)  # rounding is not worth a colour
+    figure, ax = figure_for(axes, (5.0, 3.6))
+    arclength = np.arange(0.5, beads - 1) / (beads - 1)
+    image = ax.pcolormesh(
+        ts,
+        (arclength[1:] + arclength[:-1]) / 2,
+        values.T,
+        cmap="RdBu_r" if planar else "viridis",
+        vmin=-most if planar else 0.0,
+        vmax=most,
+        shading="nearest",
+        rasterized=True,
+    )
+    ax.xaxis.set_major_locator(MaxNLocator(6))
+    ax.set_xlabel("time $t$")
+    ax.set_ylabel("arclength $s/L$")
+    figure.colorbar(image, ax=ax, label=r"curvature $\kappa L$")
+    return figure
