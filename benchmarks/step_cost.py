@@ -3,9 +3,8 @@
     python benchmarks/step_cost.py [--quick] [--json]
 
 The scene is a settling Gears fibre (weight, bending, RPY with rotation), slightly bent, in an unbounded
-fluid; `wall` is the same fibre, lowest bead 1.5 a above a no-slip wall, `over free` the ratio of its time
-to that without a wall, both measured in turns. A velocity
-evaluation is everything that a time step needs once: mobility, loads, S = J M J^T, multipliers,
+fluid; `wall`: the same fibre, its lowest bead 1.5 a above a no-slip wall, and `over_free` its time over
+that without a wall, measured in turns (median of the ratios). A velocity evaluation is everything that a time step needs once: mobility, loads, S = J M J^T, multipliers,
 velocities. It is timed inside a compiled loop, as in a run. The floor is `dpotrf` + `dpotrs` through
 SciPy on the very S of that configuration: no method that factorises S can be faster. Both are measured
 in turns, in one run; medians are reported. The error is that of the velocities against a dense
@@ -148,7 +147,15 @@ def main() -> None:
         for dim, kind in ((2, "planar"), (3, "spatial"))
         for beads in (sizes if not wall else (34, 100))
     ]
-    columns = ("evaluation_us", "floor_us", "ratio", "error", "memory_mib", "compile_s", "over_free")
+    columns = (
+        "evaluation_us",
+        "floor_us",
+        "ratio",
+        "error",
+        "memory_mib",
+        "compile_s",
+        "over_free",
+    )
     print(f"{'scene':<18}" + "".join(f"{c:>16}" for c in columns))
     results = {}
     for name, dim, beads, wall in cases:

@@ -8,9 +8,9 @@ normal n, z the height above the plane and J the mirror, J x = x - 2 n (n.x). Lo
 is a Stokes flow that cancels the flow of the source itself on the wall. Its mean over the surface of a
 sphere of radius a is (1 + a^2/6 lap) u at the centre, with lap u = (2 - J) grad p/mu - 4 (n.grad) grad w
 + 2 z (n.grad) grad p/mu, and its half curl is -curl v/2 + 2 grad w x n - (z/mu) grad p x n. All that is
-needed is a source's v and p with two derivatives. Sources are forces and torques spread over a sphere,
-and the stresslet of a sphere in a straining flow. The result is that of Swan & Brady, Phys. Fluids 19
-(2007) 113306, for spheres of any radii.
+needed is a source's v and p with two derivatives. Those of forces and torques spread over a sphere are
+worked out (`_Pairs`), those of the stresslet of a sphere in a straining flow found by differentiation.
+The result is that of Swan & Brady, Phys. Fluids 19 (2007) 113306, for spheres of any radii.
 
 Vectors are lists of components in space, of which `None` is zero.
 """
@@ -89,56 +89,102 @@ def _mirrored(vector: Vector, normal: Vector) -> Vector:
     return _total(vector, _scaled(_times(-2.0, _dot(normal, vector)), normal))
 
 
-def _forced(r: Vector, height: Array, normal: Vector, force: Vector, radius: Array) -> _Source:
-    """Of a force; `height`: the component of r along the normal."""
-    f, alpha = _mirrored(force, normal), radius * radius / 3
-    s, fn = _dot(r, f), _dot(normal, f)
+class _Pairs(NamedTuple):
+    """What images of loads do to spheres, without 8 pi mu: coefficients of r, n and the loads."""
+
+    r: Vector
+    normal: Vector
+    across: Vector
+    """r x n."""
+    force: tuple[Array, ...]
+    """In the velocity of a mirrored force f, of f, (r.f) r, (n.f) r, (r.f) n, (n.f) n."""
+    force_spin: tuple[Array, ...]
+    """In its spin, of f x r, f x n, (r.f) r x n, (n.f) r x n."""
+    torque: tuple[Array, ...]
+    """In the velocity of a mirrored torque t, of t x r, n x t, (t.r x n) r, (t.r x n) n."""
+    torque_spin: tuple[Array, ...]
+    """In its spin, of t, its part along the wall, (r.t) r, (t.r x n) r x n."""
+
+    def by_force(self, force: Vector) -> tuple[Vector, Vector]:
+        """Velocity and spin under a force."""
+        r, n = self.r, self.normal
+        f = _mirrored(force, n)
+        s, fn = _dot(r, f), _dot(n, f)
+        of_f, sr, nr, sn, nn = self.force
+        along, up = _plus(_times(s, sr), _times(fn, nr)), _plus(_times(s, sn), _times(fn, nn))
+        velocity = _total(_scaled(of_f, f), _scaled(along, r), _scaled(up, n))
+        of_r, of_n, s_across, n_across = self.force_spin
+        arm = _total(_scaled(of_r, r), _scaled(of_n, n))
+        turn = _plus(_times(s, s_across), _times(fn, n_across))
+        return velocity, _total(_cross(f, arm), _scaled(turn, self.across))
+
+    def by_torque(self, torque: Vector) -> tuple[Vector, Vector]:
+        """The same under a torque, which a mirror turns the other way."""
+        r, n = self.r, self.normal
+        t = _scaled(-1.0, _mirrored(torque, n))
+        q, tn = _dot(t, self.across), _dot(n, t)
+        of_turn, of_m, along, up = self.torque
+        velocity = _total(
+            _cross(t, _total(_scaled(of_turn, r), _scaled(_times(-1.0, of_m), n))),
+            _scaled(_times(q, along), r),
+            _scaled(_times(q, up), n),
+        )
+        of_t, flat, of_r, of_across = self.torque_spin
+        spin = _total(
+            _scaled(of_t + flat, t),
+            _scaled(_times(-1.0, tn, flat), n),
+            _scaled(_times(_dot(r, t), of_r), r),
+            _scaled(_times(q, of_across), self.across),
+        )
+        return velocity, spin
+
+
+def _pairs(
+    r: Vector, height: Array, normal: Vector, z: Array, radius: Array, source: Array
+) -> _Pairs:
+    """Of separations from the images.
+
+    **Arguments**: separation and its part along the normal; normal; height and radius of the sphere
+    that is moved; radius of the source.
+    """
+    share, alpha = radius * radius / 6, source * source / 3
     i2 = 1 / _square(r)
     i1 = jnp.sqrt(i2)
-    i3, i5, i7 = i1 * i2, i1 * i2 * i2, i1 * i2 * i2 * i2
-    i9 = i7 * i2
-    g2, h1 = i3 - 3 * alpha * i5, -i3 - 3 * alpha * i5
-    h2, k1, k2 = -3 * i5 + 15 * alpha * i7, 3 * i5 + 15 * alpha * i7, 15 * i7 - 105 * alpha * i9
-    hs = _times(height, s)
-    slope = _total(
-        _scaled(_plus(_times(fn, h1), _times(h2, hs)), r),
-        _scaled(_times(g2, s), normal),
-        _scaled(g2 * height, f),
-    )
-    along = _total(
-        _scaled(
-            _plus(_times(fn, k1 + h2, height), _times(k2, height, hs), _times(h2, s)),
-            r,
-        ),
-        _scaled(_plus(_times(fn, h1 + g2), _times(2.0, h2, hs)), normal),
-        _scaled(h2 * height * height + g2, f),
-    )
-    push = _total(_scaled(2 * i3, f), _scaled(_times(-6.0, s, i5), r))
-    push_along = _total(
-        _scaled(-6 * height * i5, f),
-        _scaled(_plus(_times(-6.0, fn, i5), _times(30.0, hs, i7)), r),
-        _scaled(_times(-6.0, s, i5), normal),
-    )
-    velocity = _total(_scaled(i1 + alpha * i3, f), _scaled(_times(s, g2), r))
-    return _Source(velocity, _scaled(i3, _cross(f, r)), slope, along, push, push_along)
-
-
-def _twisted(r: Vector, height: Array, normal: Vector, torque: Vector) -> _Source:
-    """Of a torque, which a mirror turns the other way."""
-    t = _scaled(-1.0, _mirrored(torque, normal))
-    turn = _cross(t, r)
-    q, m = _dot(normal, turn), _cross(normal, t)
-    i2 = 1 / _square(r)
-    i3 = jnp.sqrt(i2) * i2
+    i3 = i1 * i2
     i5, i7 = i3 * i2, i3 * i2 * i2
-    slope = _total(_scaled(i3, m), _scaled(_times(-3.0, q, i5), r))
-    along = _total(
-        _scaled(-3 * height * i5, m),
-        _scaled(_times(15.0, q, height, i7), r),
-        _scaled(_times(-3.0, q, i5), normal),
+    g2, h1 = i3 - 3 * alpha * i5, -i3 - 3 * alpha * i5
+    h2, k1 = -3 * i5 + 15 * alpha * i7, 3 * i5 + 15 * alpha * i7
+    k2 = 15 * i7 - 105 * alpha * i7 * i2
+    hh, flow, pull = height * height, i1 + alpha * i3, 12 * share * z * i5
+    force = (
+        -flow
+        - 2 * z * g2 * height
+        - 4 * share * (h2 * hh + g2)
+        + 2 * (z * z + share) * i3
+        - pull * height,
+        -g2
+        - 2 * z * h2 * height
+        - 4 * share * (k2 * hh + h2)
+        - 6 * (z * z + share) * i5
+        + 60 * share * z * height * i7,
+        -2 * z * h1 - 4 * share * (k1 + h2) * height - pull,
+        2 * (height - z) * g2 - (8 * share * h2 + 12 * share * i5) * height - pull,
+        2 * flow - 4 * share * (h1 + g2 - i3),
     )
-    spin = _total(_scaled(_times(1.5, _dot(r, t), i5), r), _scaled(-0.5 * i3, t))
-    return _Source(_scaled(i3, turn), spin, slope, along)
+    force_spin = (
+        -i3,
+        2 * (g2 * height - z * i3),
+        2 * h2 * height + 6 * z * i5,
+        2 * h1,
+    )
+    torque = (
+        -i3,
+        12 * share * height * i5 - 2 * z * i3,
+        6 * z * i5 - 60 * share * height * i7,
+        2 * i3 + 12 * share * i5,
+    )
+    torque_spin = (0.5 * i3, 2 * i3, -1.5 * i5, -6 * i5)
+    return _Pairs(r, normal, _cross(r, normal), force, force_spin, torque, torque_spin)
 
 
 def derived(
@@ -275,24 +321,26 @@ class Wall(NamedTuple):
         spin = jnp.stack(sums[dim:], axis=-1) if self.configuration.rotational else None
         return Motion(velocity, spin)
 
-    def _loaded(self, to: Spheres, of: Spheres, force: Vector, torque: Vector) -> list[Array]:
-        """What forces and torques on the second spheres do to the first."""
+    def _pairs(self, to: Spheres, of: Spheres) -> _Pairs:
         r, height = self._apart(to, of)
         vector = [*r, *[None] * (3 - len(r))]
         z, a, b = to.height[:, None], to.radius[:, None], of.radius[None, :]
+        return _pairs(vector, height, self.normal, z, a, b)
+
+    def _loaded(self, pairs: _Pairs, force: Vector, torque: Vector) -> list[Array]:
+        """What forces and torques on the second spheres do to the first."""
         unit = 1 / (8 * np.pi * self.configuration.viscosity * self.length)
         velocity: list[Vector] = []
         spin: list[Vector] = []
         if any(x is not None for x in force):
-            source = _forced(vector, height, self.normal, force, b)
-            v, w = reflected(source, z, a, self.normal)
-            velocity.append(_scaled(unit, v))
-            spin.append(_scaled(unit / self.length, w))
+            v, w = pairs.by_force(_scaled(unit, force))
+            velocity.append(v)
+            spin.append(_scaled(1 / self.length, w))
         if any(x is not None for x in torque):
-            v, w = reflected(_twisted(vector, height, self.normal, torque), z, a, self.normal)
-            velocity.append(_scaled(unit / self.length, v))
-            spin.append(_scaled(unit / self.length / self.length, w))
-        return self._components(_total(*velocity), _total(*spin), height)
+            v, w = pairs.by_torque(_scaled(unit / self.length, torque))
+            velocity.append(v)
+            spin.append(_scaled(1 / self.length, w))
+        return self._components(_total(*velocity), _total(*spin), pairs.force[0])
 
     def motion(self, load: Load, to: Spheres | None = None) -> Motion:
         """What the images of loads add to M F, or to the motion of other spheres."""
@@ -305,16 +353,17 @@ class Wall(NamedTuple):
         force = [*force[:dim], *[None] * (3 - dim)]
         torque = rows(load.torque)
         torque = torque if len(torque) == 3 else [None, None, *torque]
-        return self._motion(lambda to, of: self._loaded(to, of, force, torque), to)
+        return self._motion(lambda to, of: self._loaded(self._pairs(to, of), force, torque), to)
 
     def tables(self) -> PairTensor:
         """What they add to M, as fields."""
         dim, turns = self.configuration.dim, spins(self.configuration.dim)
         spheres, rotational = self.spheres, self.configuration.rotational
-        one, none = jnp.ones((1, self.configuration.beads), spheres.position.dtype), [None] * 3
+        one, none = jnp.ones((1, 1), spheres.position.dtype), [None] * 3
+        pairs = self._pairs(spheres, spheres)
 
         def column(force: Vector, torque: Vector) -> list[Array]:
-            return self._loaded(spheres, spheres, force, torque)
+            return self._loaded(pairs, force, torque)
 
         def unit(k: int) -> Vector:
             return [one if j == k else None for j in range(3)]
