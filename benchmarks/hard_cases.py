@@ -270,7 +270,7 @@ def lying(rate: float, weight: float) -> Run:
         domain=FLOOR,
     )
     state = jb.straight(chain, [0.0, 1.0], [[0.0, 15.2]])
-    return Run(scene, state, steps(20.0 if rate else 1000.0), note=clearance)
+    return Run(scene, state, steps(10.0 if rate else 1000.0), note=clearance)
 
 
 CASES: dict[str, Callable[[], Run]] = {
@@ -307,7 +307,7 @@ CASES: dict[str, Callable[[], Run]] = {
     "wall: a fibre pressed onto it, no contact": lambda: on_wall(-1.0, 3.0, 0.2, contact=False),
     "wall: a start that touches it, pulled off": lambda: on_wall(1.0, 1.0),
     "wall: a start that touches it, pressed on": lambda: on_wall(-1.0, 1.0),
-    "wall: a cilium laid down by shear": lambda: lying(1.0, 0.0),
+    "wall: a cilium laid down by shear": lambda: lying(10.0, 0.0),
     "wall: a cilium laid down by its weight": lambda: lying(0.0, 2.0),
 }
 

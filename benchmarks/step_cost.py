@@ -4,12 +4,12 @@
 
 The scene is a settling Gears fibre (weight, bending, RPY with rotation), slightly bent, in an unbounded
 fluid; `wall`: the same fibre, its lowest bead 1.5 a above a no-slip wall, and `over_free` its time over
-that without a wall, measured in turns (median of the ratios). A velocity evaluation is everything that a time step needs once: mobility, loads, S = J M J^T, multipliers,
-velocities. It is timed inside a compiled loop, as in a run. The floor is `dpotrf` + `dpotrs` through
-SciPy on the very S of that configuration: no method that factorises S can be faster. Both are measured
-in turns, in one run; medians are reported. The error is that of the velocities against a dense
-elimination of the saddle-point system in NumPy; memory is what the compiled evaluation needs beside
-its arguments.
+that without a wall, measured in turns (median of the ratios). A velocity evaluation is everything that
+a time step needs once: mobility, loads, S = J M J^T, multipliers, velocities. It is timed inside a
+compiled loop, as in a run. The floor is `dpotrf` + `dpotrs` through SciPy on the very S of that
+configuration: no method that factorises S can be faster. Both are measured in turns, in one run; medians
+are reported. The error is that of the velocities against a dense elimination of the saddle-point system
+in NumPy; memory is what the compiled evaluation needs beside its arguments.
 """
 
 import argparse

@@ -342,8 +342,8 @@ class Wall(NamedTuple):
             spin.append(_scaled(1 / self.length, w))
         return self._components(_total(*velocity), _total(*spin), pairs.force[0])
 
-    def motion(self, load: Load, to: Spheres | None = None) -> Motion:
-        """What the images of loads add to M F, or to the motion of other spheres."""
+    def _pushed(self, load: Load) -> Callable[[Spheres, Spheres], list[Array]]:
+        """The motions of some spheres under the images of loads on others, as fields."""
         dim = self.configuration.dim
 
         def rows(x: Array | None) -> Vector:
@@ -353,7 +353,56 @@ class Wall(NamedTuple):
         force = [*force[:dim], *[None] * (3 - dim)]
         torque = rows(load.torque)
         torque = torque if len(torque) == 3 else [None, None, *torque]
-        return self._motion(lambda to, of: self._loaded(self._pairs(to, of), force, torque), to)
+        return lambda to, of: self._loaded(self._pairs(to, of), force, torque)
+
+    def motion(self, load: Load, to: Spheres | None = None) -> Motion:
+        """What the images of loads add to M F, or to the motion of other spheres."""
+        return self._motion(self._pushed(load), to)
+
+    def gradient(
+        self,
+        load: Load,
+        lifted: Float[Array, "shifts beads dim"],
+        shares: Float[Array, "shifts beads"],
+    ) -> Motion:
+        """Derivatives of the motion under loads, from those of the spheres' places and shares.
+
+        With f_ij the motion of i by the load on j, sum_j B_i f_ij B_j has the derivative
+        sum_j (dB_i f_ij B_j + B_i f_ij dB_j + B_i df_ij B_j), and df_ij is found for each pair once.
+        """
+        here, spheres, dim = self.configuration, self.spheres, self.configuration.dim
+        free = tensors.rpy_gradient(here, self.slowed(load), None, lifted)
+        vectors, radii = here.scaled.pairs()
+        parts = vectors, radii, self.length, here.viscosity, here.rotational
+        images = self._pushed(load)(spheres, spheres)
+        pairs = [a + b for a, b in zip(tensors.pushed(*parts, load), images, strict=True)]
+
+        units = jnp.eye(dim, dtype=spheres.position.dtype)
+        moved = (
+            jnp.broadcast_to(units[:, None], (dim, *spheres.position.shape)),
+            jnp.broadcast_to(self.direction[:, None], (dim, len(spheres.height))),
+        )
+        fields = self._pushed(self.slowed(load))
+
+        def at(to: tuple[Array, Array], of: tuple[Array, Array]) -> list[Array]:
+            return fields(Spheres(*to, spheres.radius), Spheres(*of, spheres.radius))
+
+        place = spheres.position, spheres.height
+        own = jax.vmap(jax.linearize(lambda x: at(x, place), place)[1])(moved)
+        other = jax.vmap(jax.linearize(lambda x: at(place, x), place)[1])(moved)
+        shifts = lifted / self.length
+        total = tensors.as_motion(
+            [
+                jnp.einsum("sic,ci->si", shifts, mine.sum(axis=2))
+                + jnp.einsum("sjc,cij->si", shifts, others)
+                + jnp.einsum("sj,ij->si", shares, pair)
+                for mine, others, pair in zip(own, other, pairs, strict=True)
+            ],
+            here,
+        )
+        still = tensors.as_motion([(pair @ self.share)[None] for pair in pairs], here)
+        turned = jax.tree.map(lambda x: shares[:, :, None] * x, still)
+        return add_motions(jax.vmap(self.slowed)(add_motions(free, total)), turned)
 
     def tables(self) -> PairTensor:
         """What they add to M, as fields."""
@@ -433,6 +482,19 @@ def disturbance(
     here = wall(configuration)
     free = tensors.shear_disturbance(here.configuration, strain_rate)
     return here.slowed(add_motions(free, here.disturbance(strain_rate)))
+
+
+def gradient(
+    configuration: Configuration, load: Load, shifts: Float[Array, "shifts beads dim"]
+) -> Motion:
+    """Derivatives of M F along shifts of the positions, with F held, see `tensors.rpy_gradient`."""
+
+    def placed(position: Array) -> tuple[Array, Array]:
+        there = wall(configuration.at(position))
+        return there.configuration.position, there.share
+
+    _, push = jax.linearize(placed, configuration.position)
+    return wall(configuration).gradient(load, *jax.vmap(push)(shifts))
 
 
 def tables(configuration: Configuration) -> PairTensor:
