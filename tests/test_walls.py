@@ -20,7 +20,7 @@ from jaxbeads import (
     Scene,
     State,
     dynamics,
-    images,
+    reflection,
 )
 from jaxbeads.constraint import EqualSpins, Gears, clamped
 from jaxbeads.flow import Extension, OscillatingShear, Poiseuille, Shear
@@ -131,7 +131,7 @@ def test_closed_forms_are_lorentz_reflections():
     normal, load = [jnp.asarray(x) for x in n], np.array([0.3, -0.7, 0.5])
     source, radius, z = jnp.asarray(0.7), jnp.asarray(1.3), jnp.asarray(1.9)
     height = sum(x * y for x, y in zip(n, r, strict=True))
-    pairs = images._pairs(r, height, normal, z, radius, source)
+    pairs = reflection.pairs(r, height, normal, z, radius, source)
     mirrored = load - 2 * n * (n @ load)
 
     def dot(r, f):
@@ -154,8 +154,8 @@ def test_closed_forms_are_lorentz_reflections():
         (pairs.by_force(list(jnp.asarray(load))), forced, pressure),
         (pairs.by_torque(list(jnp.asarray(load))), twisted, lambda r: 0 * r[0]),
     ):
-        flow = images.derived(velocity, push, r, normal)
-        for mine, other in zip(found, images.reflected(flow, z, radius, normal), strict=True):
+        flow = reflection.derived(velocity, push, r, normal)
+        for mine, other in zip(found, reflection.reflected(flow, z, radius, normal), strict=True):
             assert np.abs(np.stack(mine) - np.stack(other)).max() < 1e-13
 
 
