@@ -34,7 +34,7 @@ from speed_against_error import distance, settling
 
 import jaxbeads as jb
 from jaxbeads import scenes
-from jaxbeads.constraint import Gears
+from jaxbeads.constraint import Gears, clamped
 from jaxbeads.coordinates import coordinates
 from jaxbeads.flow import Extension, Shear
 from jaxbeads.force import Bending, Contact
@@ -231,6 +231,48 @@ def long_steps(solver: AbstractSolver, multiple: float) -> Run:
     return run._replace(options={"solver": dataclasses.replace(solver, substeps=count)})
 
 
+FLOOR = jb.NoSlipWall([0.0, 0.0], [0.0, 1.0])
+
+
+def clearance(run: Run, solution: jb.Solution) -> str:
+    """How close surfaces come to the wall, but for that of a first bead that may be held there."""
+    chain = run.scene.chain
+    gap = jax.vmap(lambda x: run.scene.domain.clearance(x, chain.radius))(solution.states.position)
+    last = f"the last bead's at the end {float(gap[-1, -1]):.3f} a"
+    return f"smallest gap to the wall {float(jnp.min(gap[:, 1:])):.3f} a, {last}"
+
+
+def on_wall(weight: float, height: float, slope: float = 0.0, contact: bool = True) -> Run:
+    """A fibre above the wall, level or sloping, lowest bead at a height, under a weight."""
+    chain = jb.Chain(1.0, 15)
+    forces = [Bending(100.0), jb.force.Weight([0.0, weight])]
+    if contact:
+        forces.append(Contact(20.0, 0.1, 0.1))
+    scene = jb.Scene(chain, 1.0, constraints=[Gears()], forces=forces, domain=FLOOR)
+    state = jb.straight(chain, [np.cos(slope), np.sin(slope)])
+    rise = height - jnp.min(state.position[:, 1])
+    state = jb.State(state.position + rise * jnp.array([[0.0, 1.0]]))
+    return Run(scene, state, steps(400.0), note=clearance)
+
+
+def lying(rate: float, weight: float) -> Run:
+    """A cilium, clamped upright on the wall, that shear or its weight bends down to it."""
+    chain = jb.Chain(1.0, 15)
+    forces = [Bending(300.0), Contact(100.0, 0.1, 0.1)]
+    if weight:
+        forces.append(jb.force.Weight([0.2 * weight, -weight]))
+    scene = jb.Scene(
+        chain,
+        1.0,
+        constraints=[Gears(), *clamped()],
+        forces=forces,
+        flow=Shear(rate) if rate else None,
+        domain=FLOOR,
+    )
+    state = jb.straight(chain, [0.0, 1.0], [[0.0, 15.2]])
+    return Run(scene, state, steps(10.0 if rate else 1000.0), note=clearance)
+
+
 CASES: dict[str, Callable[[], Run]] = {
     "shear, bending ratio 0.001": flexible_shear,
     "settling, B = 10^5": lambda: softest(False),
@@ -261,6 +303,12 @@ CASES: dict[str, Callable[[], Run]] = {
     "tolerance 1e-10": lambda: falling(34, 1e3, tolerance=1e-10),
     "B = 10^4, sloping by 1e-6 rad at one end": lambda: symmetric(1e-6),
     "B = 10^4, exactly straight": lambda: symmetric(0.0),
+    "wall: a fibre pressed onto it": lambda: on_wall(-1.0, 3.0, 0.2),
+    "wall: a fibre pressed onto it, no contact": lambda: on_wall(-1.0, 3.0, 0.2, contact=False),
+    "wall: a start that touches it, pulled off": lambda: on_wall(1.0, 1.0),
+    "wall: a start that touches it, pressed on": lambda: on_wall(-1.0, 1.0),
+    "wall: a cilium laid down by shear": lambda: lying(10.0, 0.0),
+    "wall: a cilium laid down by its weight": lambda: lying(0.0, 2.0),
 }
 
 QUICK = (

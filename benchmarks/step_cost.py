@@ -2,19 +2,22 @@
 
     python benchmarks/step_cost.py [--quick] [--json]
 
-The scene is a settling Gears fibre (weight, bending, RPY with rotation), slightly bent. A velocity
-evaluation is everything that a time step needs once: mobility, loads, S = J M J^T, multipliers,
-velocities. It is timed inside a compiled loop, as in a run. The floor is `dpotrf` + `dpotrs` through
-SciPy on the very S of that configuration: no method that factorises S can be faster. Both are measured
-in turns, in one run; medians are reported. The error is that of the velocities against a dense
-elimination of the saddle-point system in NumPy; memory is what the compiled evaluation needs beside
-its arguments.
+The scene is a settling Gears fibre (weight, bending, RPY with rotation), slightly bent, in an unbounded
+fluid; `wall`: the same fibre, its lowest bead 1.5 a above a no-slip wall, and `over_free` its time over
+that without a wall, measured in turns (median of the ratios). A velocity evaluation is everything that
+a time step needs once: mobility, loads, S = J M J^T, multipliers, velocities. It is timed inside a
+compiled loop, as in a run. The floor is `dpotrf` + `dpotrs` through SciPy on the very S of that
+configuration: no method that factorises S can be faster. Both are measured in turns, in one run; medians
+are reported. The error is that of the velocities against a dense elimination of the saddle-point system
+in NumPy; memory is what the compiled evaluation needs beside its arguments.
 """
 
 import argparse
 import json
 import statistics
 import time
+from functools import partial
+from operator import truediv
 
 import jax
 import jax.numpy as jnp
@@ -30,18 +33,22 @@ from jaxbeads.force import Bending, Weight
 jax.config.update("jax_enable_x64", True)
 
 
-def fibre(beads: int, dim: int) -> tuple[jb.Scene, jb.State]:
-    """A settling fibre bent to an S of about half a radian."""
+def fibre(beads: int, dim: int, wall: bool = False) -> tuple[jb.Scene, jb.State]:
+    """A settling fibre bent to an S of about half a radian, over a wall or without one."""
     chain = jb.Chain(1.0, beads)
     angle = 0.5 * np.sin(2 * np.pi * np.linspace(0, 1, beads - 1))
     tangents = np.stack([np.cos(angle), np.sin(angle), 0.3 * np.cos(2 * angle)], axis=1)[:, :dim]
+    state = jb.State(jb.from_tangents(chain, tangents))
+    up = np.eye(dim)[1]
+    ground = (jnp.min(state.position[:, 1]) - 1.5) * up
     scene = jb.Scene(
         chain,
         1.0,
         constraints=[Gears()],
-        forces=[Weight(-np.eye(dim)[1]), Bending(float(beads))],
+        forces=[Weight(-up), Bending(float(beads))],
+        domain=jb.NoSlipWall(ground, up) if wall else jb.Unbounded(),
     )
-    return scene, jb.State(jb.from_tangents(chain, tangents))
+    return scene, state
 
 
 def dense_velocity(scene: jb.Scene, state: jb.State) -> np.ndarray:
@@ -80,18 +87,19 @@ def seconds(function, *arguments) -> float:
     return time.perf_counter() - start
 
 
-def measure(beads: int, dim: int, rounds: int) -> dict[str, float]:
-    scene, state = fibre(beads, dim)
+@partial(jax.jit, static_argnums=2)
+def evaluations(state: jb.State, scene: jb.Scene, loops: int) -> jb.State:
+    def body(_: int, state: jb.State) -> jb.State:
+        velocity = dynamics.motion(0.0, state, scene).velocity
+        return jb.State(state.position + 1e-12 * velocity)
+
+    return lax.fori_loop(0, loops, body, state)
+
+
+def measure(beads: int, dim: int, rounds: int, wall: bool = False) -> dict[str, float]:
+    scene, state = fibre(beads, dim, wall)
+    free, _ = fibre(beads, dim)
     loops = max(3, int(4e5 / beads**2))
-
-    @jax.jit
-    def evaluations(state: jb.State, scene: jb.Scene) -> jb.State:
-        def body(_: int, state: jb.State) -> jb.State:
-            velocity = dynamics.motion(0.0, state, scene).velocity
-            return jb.State(state.position + 1e-12 * velocity)
-
-        return lax.fori_loop(0, loops, body, state)
-
     single = jax.jit(lambda state, scene: dynamics.motion(0.0, state, scene).velocity)
     start = time.perf_counter()
     compiled = single.lower(state, scene).compile()
@@ -104,11 +112,13 @@ def measure(beads: int, dim: int, rounds: int) -> dict[str, float]:
             factor, _ = lapack.dpotrf(matrix, lower=1, clean=0)
             lapack.dpotrs(factor, right, lower=1)
 
-    evaluations(state, scene), floor()  # warm
-    ours, theirs = [], []
+    evaluations(state, scene, loops), evaluations(state, free, loops), floor()  # warm
+    ours, theirs, frees = [], [], []
     for _ in range(rounds):
         theirs.append(seconds(floor) / loops)
-        ours.append(seconds(evaluations, state, scene) / loops)
+        ours.append(seconds(evaluations, state, scene, loops) / loops)
+        if wall:
+            frees.append(seconds(evaluations, state, free, loops) / loops)
     reference = dense_velocity(scene, state)
     error = np.abs(single(state, scene) - reference).max() / np.abs(reference).max()
     memory = compiled.memory_analysis().temp_size_in_bytes
@@ -120,7 +130,7 @@ def measure(beads: int, dim: int, rounds: int) -> dict[str, float]:
         "error": float(error),
         "memory_mib": memory / 2**20,
         "compile_s": compile_s,
-    }
+    } | ({"over_free": statistics.median(map(truediv, ours, frees))} if wall else {})
 
 
 def main() -> None:
@@ -131,13 +141,27 @@ def main() -> None:
     )
     arguments = parser.parse_args()
     sizes, rounds = ((34, 100), 11) if arguments.quick else ((15, 34, 100, 300), 21)
-    columns = ("evaluation_us", "floor_us", "ratio", "error", "memory_mib", "compile_s")
-    print(f"{'scene':<14}" + "".join(f"{c:>16}" for c in columns))
+    cases = [
+        (f"{kind}-{beads}{'-wall' * wall}", dim, beads, wall)
+        for wall in (False, True)
+        for dim, kind in ((2, "planar"), (3, "spatial"))
+        for beads in (sizes if not wall else (34, 100))
+    ]
+    columns = (
+        "evaluation_us",
+        "floor_us",
+        "ratio",
+        "error",
+        "memory_mib",
+        "compile_s",
+        "over_free",
+    )
+    print(f"{'scene':<18}" + "".join(f"{c:>16}" for c in columns))
     results = {}
-    for dim, kind in ((2, "planar"), (3, "spatial")):
-        for beads in sizes:
-            row = results[f"{kind}-{beads}"] = measure(beads, dim, rounds)
-            print(f"{kind}-{beads:<7}" + "".join(f"{row[c]:16.3g}" for c in columns), flush=True)
+    for name, dim, beads, wall in cases:
+        row = results[name] = measure(beads, dim, rounds, wall)
+        found = "".join(f"{row[c]:16.3g}" if c in row else "" for c in columns)
+        print(f"{name:<18}{found}", flush=True)
     if arguments.json:
         print(json.dumps(results))
 

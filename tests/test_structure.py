@@ -24,6 +24,7 @@ ORDER = [
     {"pairs"},
     {"configuration"},
     {"tensors"},
+    {"reflection"},
     {"images", "mirror"},
     {"fields"},
     {"chain", "flow", "actuation", "dimensionless"},

@@ -20,7 +20,7 @@ from jaxbeads import (
     Scene,
     State,
     dynamics,
-    images,
+    reflection,
 )
 from jaxbeads.constraint import EqualSpins, Gears, clamped
 from jaxbeads.flow import Extension, OscillatingShear, Poiseuille, Shear
@@ -124,32 +124,39 @@ def test_the_strain_of_a_sphere_is_felt_through_the_wall():
     assert np.abs(found.spin[0] - w @ np.cross(n, flow) * 1.5 / a[0]).max() < 1e-8
 
 
-def test_closed_derivatives_are_those_of_the_flow():
+def test_closed_forms_are_lorentz_reflections():
+    """The flow of a mirrored force or torque and its pressure, differentiated by the machine."""
     rng = np.random.default_rng(1)
     r, n = [jnp.asarray(x) for x in rng.normal(size=(3, 5)) + 2], np.array([0.6, 0.0, 0.8])
-    normal, force = [jnp.asarray(x) for x in n], [jnp.asarray(x) for x in (0.3, -0.7, 0.5)]
-    radius, height = jnp.asarray(0.7), sum(x * y for x, y in zip(n, r, strict=True))
-    by_force = images._forced(r, height, normal, force, radius)
-    by_torque = images._twisted(r, height, normal, force)
+    normal, load = [jnp.asarray(x) for x in n], np.array([0.3, -0.7, 0.5])
+    source, radius, z = jnp.asarray(0.7), jnp.asarray(1.3), jnp.asarray(1.9)
+    height = sum(x * y for x, y in zip(n, r, strict=True))
+    pairs = reflection.pairs(r, height, normal, z, radius, source)
+    mirrored = load - 2 * n * (n @ load)
+
+    def dot(r, f):
+        return sum(x * y for x, y in zip(r, f, strict=True))
 
     def forced(r):
-        return images._forced(r, height, normal, force, radius).velocity
+        i2, s = 1 / dot(r, r), dot(r, mirrored)
+        i1, share = jnp.sqrt(i2), source**2 / 3
+        flow, along = i1 * (1 + share * i2), s * i1 * i2 * (1 - 3 * share * i2)
+        return [flow * f + along * x for f, x in zip(mirrored, r, strict=True)]
 
     def pressure(r):
-        f = np.asarray(force) - 2 * n * (n @ np.asarray(force))
-        return 2 * sum(x * y for x, y in zip(r, f, strict=True)) / sum(x * x for x in r) ** 1.5
+        return 2 * dot(r, mirrored) / dot(r, r) ** 1.5
 
     def twisted(r):
-        return images._twisted(r, height, normal, force).velocity
+        turn = jnp.cross(-mirrored, jnp.stack(r, axis=-1)) / dot(r, r)[..., None] ** 1.5
+        return [turn[..., k] for k in range(3)]
 
-    for found, expected in (
-        (by_force, images.derived(forced, pressure, r, normal)),
-        (by_torque, images.derived(twisted, lambda r: 0 * r[0], r, normal)),
+    for found, velocity, push in (
+        (pairs.by_force(list(jnp.asarray(load))), forced, pressure),
+        (pairs.by_torque(list(jnp.asarray(load))), twisted, lambda r: 0 * r[0]),
     ):
-        for name in ("velocity", "spin", "slope", "along", "push", "push_along"):
-            mine, other = getattr(found, name), getattr(expected, name)
-            for a, b in zip(mine or [0.0] * 3, other, strict=True):
-                assert np.abs(a - b).max() < 1e-13, name
+        flow = reflection.derived(velocity, push, r, normal)
+        for mine, other in zip(found, reflection.reflected(flow, z, radius, normal), strict=True):
+            assert np.abs(np.stack(mine) - np.stack(other)).max() < 1e-13
 
 
 class Loaded(AbstractForce):

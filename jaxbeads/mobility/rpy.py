@@ -4,13 +4,14 @@ from collections.abc import Callable
 from typing import ClassVar, NamedTuple
 
 import equinox as eqx
+import jax
 from jaxtyping import Array, Float
 
 from .. import fields, images, mirror, tensors
 from ..configuration import Configuration
 from ..domain import AbstractDomain, FreeSurface, NoSlipWall, Unbounded
 from ..pairs import PairTensor
-from ..state import Load, Motion
+from ..state import Load, Motion, add_motions
 from .base import MOST_DENSE, AbstractMobility, Strain
 
 
@@ -21,12 +22,16 @@ class _Form(NamedTuple):
     disturbance: Callable[[Configuration, Array], Motion]
     tables: Callable[[Configuration], PairTensor]
     fluid: Callable[[Configuration, Load, Array | None, Array], Array]
+    gradient: Callable[[Configuration, Load, Array], Motion] | None = None
+    """Derivatives of M F by the positions, if they are found for pairs."""
 
 
 _FREE = _Form(tensors.rpy_motion, tensors.shear_disturbance, tensors.rpy, fields.unbounded)
 _FORMS: dict[type[AbstractDomain], _Form] = {
     Unbounded: _FREE,
-    NoSlipWall: _Form(images.motion, images.disturbance, images.tables, fields.near_wall),
+    NoSlipWall: _Form(
+        images.motion, images.disturbance, images.tables, fields.near_wall, images.gradient
+    ),
     FreeSurface: _Form(mirror.motion, mirror.disturbance, mirror.tables, fields.near_surface),
 }
 """A new domain is a line here."""
@@ -98,10 +103,20 @@ class RPY(AbstractMobility):
         strain: Strain | None,
         shifts: Float[Array, "shifts beads dim"],
     ) -> Motion | None:
-        """Derivatives of M F + C:E, found for pairs."""
+        """Derivatives of M F + C:E, found for pairs (but for C near boundaries)."""
         strain = strain if self.strained else None
         if load.force is None and load.torque is None and strain is None:
             return None
-        if _form(configuration) is not _FREE:
+        form = _form(configuration)
+        if form is _FREE:
+            return tensors.rpy_gradient(configuration, load, strain, shifts)
+        if form.gradient is None or (load.force is None and load.torque is None):
             return super().gradient(configuration, load, strain, shifts)
-        return tensors.rpy_gradient(configuration, load, strain, shifts)
+        moved = form.gradient(configuration, load, shifts)
+        if strain is None:
+            return moved
+        disturbance, rate = form.disturbance, strain
+        _, push = jax.linearize(
+            lambda x: disturbance(configuration.at(x), rate(x)), configuration.position
+        )
+        return add_motions(moved, jax.vmap(push)(shifts))
