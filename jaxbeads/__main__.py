@@ -17,8 +17,9 @@ import numpy as np
 from .breakdown import SimulationError
 from .cache import enable_cache
 from .observables import curvature
+from .outcome import Outcome
 from .scenes import MODELS, SCENES, AbstractModel, Case, ReadyMade, Value
-from .solution import Ending, Solution
+from .solution import Solution
 from .solver import AB3, AbstractSolver, Diffrax, Rosenbrock
 
 _INTERRUPTED, _NO_READER = 128 + 2, 128 + 13  # as a shell reports SIGINT and SIGPIPE
@@ -164,7 +165,7 @@ def _run(ready: ReadyMade, arguments: argparse.Namespace) -> int:
     solution = case.simulate(**options, progress=not arguments.quiet)
     if not arguments.quiet:
         print(solution.summary())
-    interrupted = solution.status == Ending.INTERRUPTED.word
+    interrupted = solution.status == Outcome.INTERRUPTED.word
     # What a scene shows at its end is not to be seen in a part of it.
     results = {} if interrupted else ready.observables(case, solution)
     for name, value in results.items():

@@ -22,7 +22,7 @@ from ._checks import fail
 from ._compat import meet, over_devices
 from .loops import equal_parts
 from .outcome import Outcome
-from .places import replace_whole
+from .storage import replace_whole
 
 Points = dict[str, np.ndarray]
 _RECORD = "sweep.json"

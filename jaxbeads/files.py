@@ -28,7 +28,12 @@ from ._checks import fail
 from .carried import PARTS, values, with_values
 from .contents import Contents
 from .outcome import Outcome
-from .places import (
+from .rollout import Stepper
+from .scene import Scene
+from .solution import Solution, name_number
+from .solver.stepping import Carry
+from .state import State
+from .storage import (
     Place,
     in_use,
     key_of,
@@ -38,11 +43,6 @@ from .places import (
     refuse_written_here,
     written,
 )
-from .rollout import Stepper
-from .scene import Scene
-from .solution import Ending, Solution, name_number
-from .solver.stepping import Carry
-from .state import State
 
 FORMAT = 1
 _COLUMNS = ("t", "position", "residual", "bond_length_error")
@@ -220,7 +220,7 @@ def load(path: str | Path) -> Solution:
             error,
             wall,
             compiling,
-            Ending.FINISHED if len(planned) == done else Ending.UNFINISHED,
+            Outcome.FINISHED if len(planned) == done else Outcome.UNFINISHED,
             name_number(str(handle.attrs.get("solver", ""))),
         )
 

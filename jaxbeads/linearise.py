@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float
 
 from ._checks import fail
@@ -55,6 +56,19 @@ class Linearisation(NamedTuple):
         multipliers are solved for with what there is."""
         along = jnp.zeros_like(self.t), shift
         return coordinate_derivative(self.t, self.coordinates, self.scene, self.known, along)
+
+    def block(self, numbers: Any) -> Float[Array, "some some"]:
+        """The square block of df/dx of some of the coordinates, as those of one fibre, in scenes of any
+        size: one product for each of them, and nothing larger is kept.
+
+        **Arguments**: indices of the coordinates, distinct, `(some,)`.
+        """
+        numbers = jnp.asarray(numbers)
+
+        def column(number: Array) -> Array:
+            return self.product(jnp.zeros_like(self.rate).at[number].set(1.0))[numbers]
+
+        return lax.map(column, numbers).T
 
     def jacobian(self) -> Float[Array, "numbers numbers"]:
         """df/dx as a matrix.

@@ -1,8 +1,8 @@
 """Loops that are differentiated: what is kept of a step, and loops of unknown length in both modes.
 
 The idea of `loop`: going forward, leave carries behind at even distances, which double when there is no
-more room; going backward, take the transpose of one turn after the other from the carry before it,
-turning again from the last one left behind. The turn itself is in the program once for each mode. What
+more room; going backward, take the transpose of one round after the other from the carry before it,
+going again from the last one left behind. The round itself is in the program once for each mode. What
 justifies it is compiling: `benchmarks/startup.py` has the seconds of a gradient, most of which grow
 with the copies of a step. A `lax.while_loop` with a reverse mode of its own would make it unnecessary.
 """
@@ -37,20 +37,20 @@ def checkpointed(step: Callable[..., Any]) -> Callable[..., Any]:
     return jax.checkpoint(step, policy=jax.checkpoint_policies.save_only_these_names(_KEPT))
 
 
-Turn = Callable[[PyTree, PyTree], Any]
-"""A function of what goes from turn to turn and of what is fixed."""
+Round = Callable[[PyTree, PyTree], Any]
+"""A function of what goes from round to round and of what is fixed."""
 
 _SLOTS = 2**9
 """Carries that the backward pass of `loop` keeps at most, and about as many between two of them."""
 
 
-def loop(unfinished: Turn, body: Turn, start: PyTree, fixed: PyTree, most: int) -> PyTree:
+def loop(unfinished: Round, body: Round, start: PyTree, fixed: PyTree, most: int) -> PyTree:
     """carry = body(carry, fixed), from `start`, while unfinished(carry, fixed), `most` times at most.
 
     It has first derivatives by `start` and `fixed` in either mode. Forward, tangents go along with the
-    carry. Backward, one turn's transpose is taken after the other, from the carries that the loop has
-    left behind: all of them up to 512 turns, beyond that every second, fourth, ..., between which turns
-    are taken again. Rounding may differ between these programs: where it decides on the turns (steps
+    carry. Backward, one round's transpose is taken after the other, from the carries that the loop has
+    left behind: all of them up to 512 rounds, beyond that every second, fourth, ..., and those between
+    are taken again. Rounding may differ between these programs: where it decides on the rounds (steps
     chosen by errors not far above rounding), derivatives are as exact as that leaves them. Second
     derivatives raise an error.
 
@@ -58,7 +58,7 @@ def loop(unfinished: Turn, body: Turn, start: PyTree, fixed: PyTree, most: int) 
     for its derivative; `equinox.internal.while_loop`, which does the same, has several copies of it.
 
     **Arguments**: two functions that close over nothing that is traced; carry; all else that they read;
-    bound on the number of turns.
+    bound on the number of rounds.
     """
     return _loop(start, fixed, unfinished=unfinished, body=body, most=most)
 
@@ -73,11 +73,11 @@ def _refuse(*_: Any) -> Any:
     raise RuntimeError(_SECOND)
 
 
-class _Turns(NamedTuple):
+class _Rounds(NamedTuple):
     """A loop, of which arrays are parted from the rest of its carry and of what is fixed."""
 
-    unfinished: Turn
-    body: Turn
+    unfinished: Round
+    body: Round
     start: PyTree
     fixed: PyTree
     still: tuple[PyTree, PyTree]
@@ -88,15 +88,15 @@ class _Turns(NamedTuple):
         return eqx.combine(carry, self.still[0]), eqx.combine(fixed, self.still[1])
 
     def goes_on(self, count: Array, carry: PyTree) -> Any:
-        """Whether there is one more turn."""
+        """Whether there is one more round."""
         return (count < self.most) & self.unfinished(*self.whole(carry, self.fixed))
 
-    def turn(self, carry: PyTree, fixed: PyTree) -> PyTree:
+    def next(self, carry: PyTree, fixed: PyTree) -> PyTree:
         """The arrays of the next carry."""
         after = _traced_once(self.body, *self.whole(carry, fixed))
         return _strong(eqx.filter(after, eqx.is_array_like))
 
-    def along(self, numbers: PyTree) -> "_Turns":
+    def along(self, numbers: PyTree) -> "_Rounds":
         """From other numbers, to start with and fixed."""
         start, fixed = eqx.combine(numbers, (self.start, self.fixed))
         return self._replace(start=start, fixed=fixed)
@@ -110,13 +110,13 @@ class _Turns(NamedTuple):
         """The arrays of the last carry."""
         return lax.while_loop(
             lambda now: self.goes_on(*now),
-            lambda now: (now[0] + 1, self.turn(now[1], self.fixed)),
+            lambda now: (now[0] + 1, self.next(now[1], self.fixed)),
             (jnp.zeros((), int), self.start),
         )[1]
 
 
 @eqx.filter_jit
-def _traced_once(body: Turn, carry: PyTree, fixed: PyTree) -> PyTree:
+def _traced_once(body: Round, carry: PyTree, fixed: PyTree) -> PyTree:
     return body(carry, fixed)
 
 
@@ -129,60 +129,60 @@ def _strong(tree: PyTree) -> PyTree:
     return jax.tree.map(lambda x: lax.convert_element_type(x, jnp.asarray(x).dtype), tree)
 
 
-def _turns(start: PyTree, fixed: PyTree, unfinished: Turn, body: Turn, most: int) -> _Turns:
+def _rounds(start: PyTree, fixed: PyTree, unfinished: Round, body: Round, most: int) -> _Rounds:
     start, carried = eqx.partition(start, eqx.is_array_like)
     fixed, still = eqx.partition(fixed, _array)
-    return _Turns(unfinished, body, _strong(start), _strong(fixed), (carried, still), most)
+    return _Rounds(unfinished, body, _strong(start), _strong(fixed), (carried, still), most)
 
 
 class _Trail(NamedTuple):
-    """The carries that a loop leaves behind, in `_SLOTS` slots: that of every turn, and when they are
+    """The carries that a loop leaves behind, in `_SLOTS` slots: that of every round, and when they are
     full, of every second, fourth, ..., in the slots of those that are given up."""
 
-    turns: Any
+    rounds: Any
     slots: int
     saved: PyTree
 
     @classmethod
-    def empty(cls, turns: _Turns) -> "_Trail":
-        slots = min(_power(turns.most), _SLOTS)
-        saved = jax.tree.map(lambda x: jnp.zeros((slots, *x.shape), x.dtype), turns.start)
-        return cls(turns, slots, saved)
+    def empty(cls, rounds: _Rounds) -> "_Trail":
+        slots = min(_power(rounds.most), _SLOTS)
+        saved = jax.tree.map(lambda x: jnp.zeros((slots, *x.shape), x.dtype), rounds.start)
+        return cls(rounds, slots, saved)
 
     @property
     def doublings(self) -> range:
         """How often the slots can be full."""
-        return range((_power(self.turns.most) // self.slots).bit_length() - 1)
+        return range((_power(self.rounds.most) // self.slots).bit_length() - 1)
 
-    def stride(self, turn: Array) -> Array:
-        """Between the turns that are kept when this one is taken."""
+    def stride(self, number: Array) -> Array:
+        """Between the rounds that are kept when this one is taken."""
         return 2 ** sum(
-            (jnp.asarray(turn >= self.slots * 2**k, int) for k in self.doublings), 0 * turn
+            (jnp.asarray(number >= self.slots * 2**k, int) for k in self.doublings), 0 * number
         )
 
-    def slot(self, turn: Array) -> Array:
-        """Where the carry is from which a turn that is kept begins."""
+    def slot(self, number: Array) -> Array:
+        """Where the carry is from which a round that is kept begins."""
         for k in reversed(self.doublings):  # the odd multiples of 2^k give way to what comes later
             full = self.slots * 2**k
-            turn = jnp.where(turn >= full, turn - full + 2**k, turn)
-        return turn
+            number = jnp.where(number >= full, number - full + 2**k, number)
+        return number
 
-    def add(self, turn: Array, carry: PyTree) -> "_Trail":
-        """With the carry from which a turn begins, if it is one to keep."""
+    def add(self, number: Array, carry: PyTree) -> "_Trail":
+        """With the carry from which a round begins, if it is one to keep."""
         # One that is not goes nowhere: beyond the last slot.
-        slot = jnp.where(turn % self.stride(turn) == 0, self.slot(turn), self.slots)
+        slot = jnp.where(number % self.stride(number) == 0, self.slot(number), self.slots)
         saved = jax.tree.map(lambda s, x: s.at[slot].set(x, mode="drop"), self.saved, carry)
         return self._replace(saved=saved)
 
     def back(self, count: Array, slope: PyTree) -> PyTree:
         """Slopes by the numbers of the loop from those by the numbers of its last carry."""
-        turns, stride = self.turns, self.stride(jnp.maximum(count - 1, 0))
-        fixed, others = eqx.partition(turns.fixed, eqx.is_inexact_array)
+        rounds, stride = self.rounds, self.stride(jnp.maximum(count - 1, 0))
+        fixed, others = eqx.partition(rounds.fixed, eqx.is_inexact_array)
         between = 2 ** len(self.doublings)
-        block = jax.tree.map(lambda x: jnp.zeros((between, *x.shape), x.dtype), turns.start)
+        block = jax.tree.map(lambda x: jnp.zeros((between, *x.shape), x.dtype), rounds.start)
 
         def step(now: Any) -> Any:
-            # `at`: the turn that is taken; it is the last one that is `left`, or on the way to it.
+            # `at`: the round that is taken; it is the last one that is `left`, or on the way to it.
             left, at, slope, total, block = now
             first = (left - 1) // stride * stride
             carry = jax.tree.map(
@@ -192,11 +192,11 @@ class _Trail(NamedTuple):
             )
             moving, resting = eqx.partition(carry, eqx.is_inexact_array)
 
-            def turn(moving: PyTree, fixed: PyTree) -> tuple[PyTree, PyTree]:
-                after = turns.turn(eqx.combine(moving, resting), eqx.combine(fixed, others))
+            def once(moving: PyTree, fixed: PyTree) -> tuple[PyTree, PyTree]:
+                after = rounds.next(eqx.combine(moving, resting), eqx.combine(fixed, others))
                 return eqx.filter(after, eqx.is_inexact_array), after
 
-            _, pull, after = jax.vjp(turn, moving, fixed, has_aux=True)
+            _, pull, after = jax.vjp(once, moving, fixed, has_aux=True)
             arrived, (by_carry, by_fixed) = at == left - 1, pull(slope)
             slope = jax.tree.map(lambda a, b: jnp.where(arrived, a, b), by_carry, slope)
             total = jax.tree.map(lambda a, b: a + jnp.where(arrived, b, 0), total, by_fixed)
@@ -224,26 +224,26 @@ def _power(number: int) -> int:
 
 
 @eqx.filter_custom_jvp
-def _loop(start: PyTree, fixed: PyTree, *, unfinished: Turn, body: Turn, most: int) -> PyTree:
-    turns = _turns(start, fixed, unfinished, body, most)
-    return eqx.combine(turns.run(), turns.still[0])
+def _loop(start: PyTree, fixed: PyTree, *, unfinished: Round, body: Round, most: int) -> PyTree:
+    rounds = _rounds(start, fixed, unfinished, body, most)
+    return eqx.combine(rounds.run(), rounds.still[0])
 
 
 @_loop.def_jvp
 def _loop_jvp(primals: Any, tangents: Any, **of: Any) -> Any:
     start, fixed = primals
-    turns = _turns(start, fixed, of["unfinished"], of["body"], of["most"])
+    rounds = _rounds(start, fixed, of["unfinished"], of["body"], of["most"])
 
     def one(now: tuple[Array, PyTree, PyTree]) -> tuple[Array, PyTree, PyTree]:
         count, carry, saved = now
         trail = empty._replace(saved=saved).add(count, carry)
-        return count + 1, turns.turn(carry, turns.fixed), trail.saved
+        return count + 1, rounds.next(carry, rounds.fixed), trail.saved
 
-    empty = _Trail.empty(turns)
+    empty = _Trail.empty(rounds)
     count, end, saved = lax.while_loop(
-        lambda now: turns.goes_on(*now[:2]), one, (jnp.zeros((), int), turns.start, empty.saved)
+        lambda now: rounds.goes_on(*now[:2]), one, (jnp.zeros((), int), rounds.start, empty.saved)
     )
-    trail, numbers = empty._replace(saved=saved), turns.numbers
+    trail, numbers = empty._replace(saved=saved), rounds.numbers
     given = jax.tree.leaves(eqx.filter(tangents, eqx.is_inexact_array))
     # All that goes into the linear map must be linear in the tangents, also what is zero.
     zero = _zero(given)
@@ -259,7 +259,7 @@ def _loop_jvp(primals: Any, tangents: Any, **of: Any) -> Any:
     # A linear map with a transpose of its own: the "solution" (0, L b) of an equation for (b, 0).
     def push(_: Any, pair: Any) -> Any:
         def last(numbers: PyTree) -> PyTree:
-            return eqx.filter(turns.along(numbers).run(), eqx.is_inexact_array)
+            return eqx.filter(rounds.along(numbers).run(), eqx.is_inexact_array)
 
         moved = jax.jvp(last, (numbers,), (pair[0],))[1]
         return jax.tree.map(jnp.zeros_like, pair[0]), moved
@@ -273,7 +273,7 @@ def _loop_jvp(primals: Any, tangents: Any, **of: Any) -> Any:
         return jax.tree.map(lambda x: (one * x).astype(x.dtype), pair)
 
     _, moved = lax.custom_linear_solve(itself, (shifts, zeros(moving)), push, pull)
-    return eqx.combine(end, turns.still[0]), moved
+    return eqx.combine(end, rounds.still[0]), moved
 
 
 @jax.custom_jvp

@@ -17,7 +17,7 @@ from jaxtyping import Array, PyTree
 from ._checks import described, fail, finite, kind, positive, whole
 from ._typing import float_array
 from .optimum import INTERRUPTED, NO_FURTHER, NOT_FINITE, STEPS, VANISHES, ZERO, History, Optimum
-from .places import replace_whole
+from .storage import replace_whole
 from .units import NOISE, Units, bounds_of, free, inside, own, reach, reached, shown, unbound
 
 _ROUND = 20  # steps between two corrections of the multipliers

@@ -34,7 +34,7 @@ from .rollout import (
     stepper_for,
 )
 from .scene import Scene, check
-from .solution import Ending, Solution, name_number
+from .solution import Solution, name_number
 from .solver import FixedSteps, explicit_step
 from .solver.stepping import Carry
 from .state import State
@@ -131,7 +131,7 @@ def simulate(
                 fail("scene.constraints", "be independent at the start", how)
         if not np.all(np.asarray(first.residual) <= RESIDUAL_TOLERANCE):
             cause = explain(scene, state, float(times[0]), 0, None)
-            raise SimulationError(cause, run.joined([first], Ending.BROKEN_DOWN, clock))
+            raise SimulationError(cause, run.joined([first], Outcome.BROKEN_DOWN, clock))
         if run.target is not None:
             run.target.append(first, carry)
         return run.go(carry, first, 0, clock)
@@ -252,7 +252,7 @@ class _Run:
 
     def go(self, carry: Carry, first: Solution, done: int, clock: _Clock) -> Solution:
         """From interval number `done` to the end."""
-        parts, ending, intervals = [first], Ending.FINISHED, len(self.ts) - 1
+        parts, ending, intervals = [first], Outcome.FINISHED, len(self.ts) - 1
         length = _chunk_length(intervals, self.chunk)
         from tqdm.auto import tqdm  # it warns on import in a notebook without widgets
 
@@ -267,10 +267,10 @@ class _Run:
                     done += count
                     bar.update(count)
                     if self.until is not None and self.until(self.joined(parts, ending, clock)):
-                        ending = Ending.STOPPED
+                        ending = Outcome.STOPPED
                         break
         except KeyboardInterrupt:
-            ending = Ending.INTERRUPTED
+            ending = Outcome.INTERRUPTED
             warnings.warn(f"The run was interrupted at t = {parts[-1].ts[-1]:g}.", stacklevel=3)
         solution = self.ended(parts, ending, clock)
         _warn_of_laws(self.scene, self.stepper, solution)
@@ -330,9 +330,9 @@ class _Run:
         after, _ = _advance(self.stepper, self.scene, carry, span)
         t0, t1 = (float(t) for t in span)
         cause = locate(self.stepper, self.scene, carry, after, t0, t1, self.bond_tolerance)
-        raise SimulationError(cause, self.ended(parts, Ending.BROKEN_DOWN, clock))
+        raise SimulationError(cause, self.ended(parts, Outcome.BROKEN_DOWN, clock))
 
-    def joined(self, parts: list[Solution], ending: Ending, clock: _Clock) -> Solution:
+    def joined(self, parts: list[Solution], ending: Outcome, clock: _Clock) -> Solution:
         """All parts in one."""
 
         def column(get: Callable[[Solution], Any]) -> Any:
@@ -352,7 +352,7 @@ class _Run:
             name_number(self.stepper.solver.name),
         )
 
-    def ended(self, parts: list[Solution], ending: Ending, clock: _Clock) -> Solution:
+    def ended(self, parts: list[Solution], ending: Outcome, clock: _Clock) -> Solution:
         """The solution with which the run ends; the file notes how long it took."""
         solution = self.joined(parts, ending, clock)
         if self.target is not None:

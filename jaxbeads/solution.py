@@ -3,7 +3,6 @@
 import dataclasses
 import zlib
 from collections.abc import Callable, Iterator
-from enum import IntEnum
 from typing import Any
 
 import diffrax
@@ -19,30 +18,8 @@ from .outcome import Outcome, meaning
 from .solver import AbstractSolver
 from .state import State
 
-
-class Ending(IntEnum):
-    """How a run ended: a number for the trajectory's leaf, a word for people, and what it means.
-
-    The numbers are such that a sum or a difference of two is none of them: solutions may be subtracted.
-    """
-
-    word: str
-    meaning: str
-
-    def __new__(cls, number: int, word: str, meaning: str) -> "Ending":
-        one = int.__new__(cls, number)
-        one._value_, one.word, one.meaning = number, word, meaning
-        return one
-
-    FINISHED = 101, "finished", "All times are there."
-    STOPPED = 102, "stopped by `until`", "`until` was true of the solution up to its last time."
-    INTERRUPTED = 103, "interrupted", "Ctrl-C came before the last time."
-    UNFINISHED = 104, "unfinished", "The file holds a part of its times; `resume` continues it."
-    BROKEN_DOWN = 105, "broken down", "It ends with its last good state, or its `code` says why."
-
-
 _SOLVERS = diffrax.AbstractSolver, AbstractSolver
-_WORDS = {int(ending): ending.word for ending in Ending}
+_WORDS = {int(outcome): outcome.word for outcome in Outcome if outcome.is_ending}
 
 
 def _small_number(value: Any) -> Array | None:
@@ -71,7 +48,7 @@ class Solution(eqx.Module):
     - `wall_s`, `compile_s`: seconds in all, and of them for compiling (`simulate` only; from a file that
       was not closed, not a number).
     - `status`: "finished", "stopped by `until`", "interrupted", "unfinished" or "broken down", see
-      `Ending`; `solver`: the name of the solver.
+      `Outcome`; `solver`: the name of the solver.
 
     All of it is in leaves, also how a run ended (`ending`) and by which solver (`method`), as numbers:
     solutions of one shape have one structure, however long they took and whatever became of them. Their
@@ -100,10 +77,10 @@ class Solution(eqx.Module):
         runs, how many ended in which way. A host function."""
         if not known((self.code, self.ending)):
             return "traced"
-        ending = Ending.FINISHED if self.ending is None else self.ending
+        ending = Outcome.FINISHED if self.ending is None else self.ending
         pairs = np.broadcast_arrays(np.asarray(self.code), np.asarray(ending))
         words = [
-            Ending.BROKEN_DOWN.word if code != Outcome.FINE else _WORDS.get(int(end), "unknown")
+            Outcome.BROKEN_DOWN.word if code != Outcome.FINE else _WORDS.get(int(end), "unknown")
             for code, end in zip(*map(np.ravel, pairs), strict=True)
         ]
         if len(set(words)) == 1:
@@ -150,9 +127,9 @@ class Solution(eqx.Module):
 
     def _next(self) -> list[str]:
         """What to look at next, where something is not as it should be."""
-        if self.status in (Ending.INTERRUPTED.word, Ending.UNFINISHED.word):
+        if self.status in (Outcome.INTERRUPTED.word, Outcome.UNFINISHED.word):
             return ["`resume` continues it, if it was given a file"]
-        if self.status == Ending.BROKEN_DOWN.word:
+        if self.status == Outcome.BROKEN_DOWN.word:
             return [
                 "`simulate` says which step, bead and term broke down; `final` is the last state"
             ]

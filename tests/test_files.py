@@ -369,7 +369,7 @@ def test_what_is_no_trajectory_file_is_replaced(tmp_path):
 def test_a_place_that_is_taken_in_the_meantime(tmp_path, monkeypatch):
     # Two runs that find no file and begin at once: the second to write its first state is turned away.
     path, other = tmp_path / "run.h5", []
-    take = jaxbeads.places.Place.take
+    take = jaxbeads.storage.Place.take
 
     def late(place):
         if not other:
@@ -377,7 +377,7 @@ def test_a_place_that_is_taken_in_the_meantime(tmp_path, monkeypatch):
             other[0] = simulated(path)
         take(place)
 
-    monkeypatch.setattr(jaxbeads.places.Place, "take", late)
+    monkeypatch.setattr(jaxbeads.storage.Place, "take", late)
     with pytest.raises(ValueError, match="must not be in use"):
         simulated(path)
     assert bits(load(path)) == bits(other[0])

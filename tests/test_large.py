@@ -109,7 +109,7 @@ CASES = {
 def made(case):
     """Scene that is dense, the same that is not, and a state."""
     constraints, dim, fibres, options = CASES[case]
-    joint = any(isinstance(c, Joint) for c in constraints)
+    joint = any(c.oriented for c in constraints)
     chain = Chain(options.get("radius", 1.0), fibres, 0.1 if joint else 0.0)
     centre = 6.0 * np.arange(len(chain.fibres))[:, None] * np.eye(dim)[1]
     state = (jointed if joint else bent)(chain, dim, centre=centre)
@@ -262,5 +262,16 @@ def test_products_of_the_linearisation_need_no_matrix():
     shift = jnp.sin(jnp.arange(len(coordinates(free, state).origin)) + 0.5)
     found, expected = product(free, shift), product(dense, shift)
     assert np.abs(found - expected).max() < 1e-8 * np.abs(expected).max()
+    some = np.array([1, 4, 0, len(shift) - 1])
+
+    @eqx.filter_jit
+    def parts(scene):
+        about = linearise(0.3, coordinates(scene, state), scene)
+        return about.block(some), about.jacobian() if scene.dense else None
+
+    (block, _), (same, whole) = parts(free), parts(dense)
+    expected = whole[some][:, some]
+    assert np.abs(same - expected).max() < 1e-12 * np.abs(whole).max()
+    assert np.abs(block - expected).max() < 1e-8 * np.abs(whole).max()
     with pytest.raises(ValueError, match="must have a dense mobility"):
         linearise(0.3, coordinates(free, state), free).jacobian()

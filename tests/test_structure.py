@@ -18,7 +18,7 @@ ORDER = [
     {"_typing", "_checks", "loops", "programs", "outcome"},
     {"_functions", "domain"},
     {"factors", "iterations", "units", "optimum"},
-    {"places"},
+    {"storage"},
     {"vary", "optimise", "chunks", "cache", "contents"},
     {"state", "geometry"},
     {"pairs"},

@@ -146,13 +146,13 @@ def kept(function: Difference, one: Array) -> Difference:
 
 
 def empty(size: int, dtype: Any) -> Array:
-    """A square matrix to be filled by `place`."""
+    """A square matrix to be filled by `put_block`."""
     # XLA: hides the zeros, with which it would pad the first block to the whole, number by number; that
     # takes several times as long as any other block.
     return hidden(jnp.zeros((size, size), dtype))
 
 
-def place(matrix: Array, block: Array, row: int, column: int) -> Array:
+def put_block(matrix: Array, block: Array, row: int, column: int) -> Array:
     """A matrix with a block in its place, the last two axes.
 
     Many matrices side by side are filled in the same way; the rule of `dynamic_update_slice` would make
@@ -169,6 +169,6 @@ def place(matrix: Array, block: Array, row: int, column: int) -> Array:
             x if b else jnp.broadcast_to(x, (size, *x.shape))
             for x, b in zip((matrix, block), batched, strict=True)
         )
-        return place(matrix, block, row, column), True
+        return put_block(matrix, block, row, column), True
 
     return put(matrix, block)

@@ -15,7 +15,7 @@ from .base import (
     empty,
     ends,
     kept,
-    place,
+    put_block,
     regular,
     relative_bond_errors,
 )
@@ -90,7 +90,7 @@ class Gears(AbstractChainConstraint):
                     for m, w in lever[j].items():
                         block = block + sums[k][m] * (u[:, None] * w[None, :])
                 block = regular(block, mask, scale if i == j else None)
-                s = place(s, block, i * bonds, j * bonds)
+                s = put_block(s, block, i * bonds, j * bonds)
         return s
 
     def bond_errors(self, state: State, chain: Chain) -> Float[Array, " bonds"]:

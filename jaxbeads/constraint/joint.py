@@ -9,7 +9,7 @@ from ..chain import Chain, linked
 from ..geometry import bonds, norm, spin_cross, unit
 from ..pairs import CROSS, PairTensor
 from ..state import Motion, State
-from .base import AbstractChainConstraint, empty, ends, place, regular
+from .base import AbstractChainConstraint, empty, ends, put_block, regular
 
 
 class Joint(AbstractChainConstraint):
@@ -64,7 +64,7 @@ class Joint(AbstractChainConstraint):
                     for m, w in lever[j].items():
                         block = block + aa(u[:, None] * tensor.rr[k][m] * w[None, :])
                 block = regular(block, mask, scale if i == j else None)
-                s = place(s, block, i * bonds, j * bonds)
+                s = put_block(s, block, i * bonds, j * bonds)
         return s
 
     def bond_errors(self, state: State, chain: Chain) -> Float[Array, " bonds"]:
