@@ -40,7 +40,11 @@ class Outcome(IntEnum):
     )
 
     FINISHED = 101, "finished", "All times are there."
-    STOPPED = 102, "stopped by `until`", "`until` was true of the solution up to its last time."
+    STOPPED = (
+        102,
+        "stopped by `until`",
+        "The condition `until` was true of the solution up to its last time.",
+    )
     INTERRUPTED = 103, "interrupted", "Ctrl-C came before the last time."
     UNFINISHED = 104, "unfinished", "The file holds a part of its times; `resume` continues it."
     BROKEN_DOWN = 105, "broken down", "It ends with its last good state, or its `code` says why."
