@@ -170,7 +170,7 @@ found["no quotients"] = work()
 
 def filled(begin):
     def fill(a, b):
-        return base.place(base.place(begin(64, float), a, 0, 0), b, 8, 8)
+        return base.put_block(base.put_block(begin(64, float), a, 0, 0), b, 8, 8)
     return count("pad", fill, np.ones((8, 8)), np.ones((8, 8)))
 
 found["hidden"] = filled(base.empty)
