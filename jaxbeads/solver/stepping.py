@@ -197,13 +197,15 @@ class AdaptiveSteps(eqx.Module):
         """One step, kept or not, where save times are `gap` apart."""
         (scheme, order), t0 = self._scheme, a.previous
         watched = watch(scene, t0, a.state)
-        t1, beyond, shortened = a.next, None, None
+        t1, beyond, shortened, begun, jumped = a.next, None, None, t0, a.jump
         if not watched.idle:
+            start, switches = watched.begin(lax.stop_gradient(t0))
+            begun, jumped = t0 + (start - lax.stop_gradient(t0)), a.jump | switches
             # A step ends where a law jumps, and the next begins on the other side.
             last, beyond = watched.end(*lax.stop_gradient((t0, a.next, gap)))
             shortened = last < a.next
             t1 = jnp.where(shortened, last, a.next)
-        y, error, dense, memory, result = _step(scheme, t0, t1, a.state, scene, a.solver, a.jump)
+        y, error, dense, memory, result = _step(scheme, begun, t1, a.state, scene, a.solver, jumped)
         path = scheme.interpolation_cls(t0=t0, t1=t1, **dense).evaluate
         unseen = watched.unseen(t0, t1, path)
         # A step that fails or leaves the finite numbers is tried again with a smaller one.

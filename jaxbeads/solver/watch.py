@@ -68,6 +68,16 @@ class Watch(NamedTuple):
         """Whether neither the time nor the place of a bead matters to any term in unknown ways."""
         return self.timed is None and self.placed is None
 
+    def begin(self, t0: Array) -> tuple[Array, Array]:
+        """Where a step from t0 begins, and whether that is on the other side of a switch at t0 itself: a
+        step may have ended there by chance, as at a save time, before the terms switched."""
+        decided = None if self.timed is None else self._decided(self.timed, t0.dtype)
+        if decided is None:
+            return t0, jnp.zeros((), bool)
+        now, then = decided(t0), decided(_after(t0))
+        switches = jnp.any((now != then) & ~(jnp.isnan(now) & jnp.isnan(then)))
+        return jnp.where(switches, _after(t0), t0), switches
+
     def end(self, t0: Array, t1: Array, gap: Array) -> tuple[Array, Array]:
         """The last instant before the terms switch, and one just after it; where they do not, t1 twice,
         or an earlier instant if a step to t1 could not be sampled well enough."""
