@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import scene
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from jax.tree_util import Partial
 
@@ -83,6 +83,8 @@ def test_a_pulse_of_any_width_is_met(solver, saves):
 
     @several()
     @given(start=st.floats(0.01, 99.0), log=st.floats(-6.0, 1.5))
+    @example(start=1.0, log=0.0)  # at save times, where a step from rest ends by chance
+    @example(start=0.0, log=0.0)
     def check(start, log):
         width = 10.0**log
         right = min(start + width, 100.0) - start
