@@ -138,6 +138,19 @@ def test_joint_and_gears_chains_bend_alike():
     assert errors[0][0] / errors[1][0] > 3 and errors[1][0] / errors[2][0] > 3  # like 1/N^2
 
 
+def test_rates_of_bending_by_forces_bound_the_explicit_step():
+    # Long free-draining chains reach the bound, half of AB3's limit; with interactions they are slower.
+    chain = Chain(1.0, 24)
+    for mobility, least in ((FreeDraining(), 0.98), (RPY(), 0.3)):
+        force = BendingEnergy(100.0)
+        scene = Scene(chain, 1.3, mobility, [Inextensible()], [force])
+        fastest = -jb.scenes.lateral_modes(scene)[0].real.min()
+        part = fastest * float(jb.solver.explicit_step(scene)) * 11 / 3
+        assert least < part < 1 + 1e-12
+    ts = 1000 * float(jb.solver.explicit_step(scene)) * np.arange(2)
+    assert int(rollout(scene, bent(chain), ts, solver=jb.AB3()).code) == 0
+
+
 def test_rates_of_joint_chains_bound_the_explicit_step():
     chain = Chain(1.0, 12, 0.1)
     scene = Scene(chain, 1.0, constraints=[Joint()], forces=[JointBending(1.0)])

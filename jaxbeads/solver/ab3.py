@@ -73,7 +73,7 @@ class AdamsBashforth(diffrax.AbstractSolver):
 class AB3(AbstractSolver):
     """The paper's explicit scheme, with equal steps, as `AB3(substeps=50)`: one evaluation a step.
 
-    Stable for bending up to about 2.2 times the step (39), which it takes unless told otherwise.
+    Stable for `Bending` up to about 2.2 times the step (39), which it takes unless told otherwise.
 
     **Arguments**, by name: `substeps` and `projected`, as for `AbstractSolver`; it estimates no error.
     """
