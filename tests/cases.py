@@ -113,9 +113,11 @@ def name(case):
         case = case[0] if isinstance(case[0], AbstractSolver) else case[-1]
     if isinstance(case, AbstractSolver):
         return case.name
-    law = f"-{type(case.law).__name__}" if hasattr(case, "law") else ""
+    rule = (
+        f"-{type(case.discrete_curvature).__name__}" if hasattr(case, "discrete_curvature") else ""
+    )
     free = "-free" if getattr(case, "dense", None) is False else ""
-    return type(case).__name__ + law + free
+    return type(case).__name__ + rule + free
 
 
 def bent(chain: Chain, dim: int = 2, seed: int = 0, centre=None) -> State:
@@ -329,9 +331,9 @@ _STILL = TravellingWave(0.0, 1.0, 1.0)
 
 def _bending(f):
     if callable(f.intrinsic_curvature):  # bends in the x-y plane
-        return Bending(f.rigidity, TwoPlanes(_STILL, f.intrinsic_curvature), f.law)
+        return Bending(f.rigidity, TwoPlanes(_STILL, f.intrinsic_curvature), f.discrete_curvature)
     vectors = f.intrinsic_curvature * jnp.array([[0.0, 0.0, 1.0]])
-    return Bending(f.rigidity, jnp.tile(vectors, (5, 1)), f.law)
+    return Bending(f.rigidity, jnp.tile(vectors, (5, 1)), f.discrete_curvature)
 
 
 # What has another form in space than in the plane, on a chain of seven beads.

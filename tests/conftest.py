@@ -24,7 +24,7 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 os.environ.setdefault("JAX_TRACEBACK_IN_LOCATIONS_LIMIT", "0")
 if "XLA_FLAGS" not in os.environ:
     # Without optimisation, fusions compile in a third of the time by the older code generator, and two
-    # workers on two cores gain nothing by modules that are split for more threads. Not every jaxlib knows
+    # workers on two cores gain nothing by modules split for more threads. Not every jaxlib knows
     # these settings, and one that does not stops the process.
     flags = (
         "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"

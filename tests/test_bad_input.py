@@ -592,7 +592,10 @@ OPTIONS = {
     "two shear rates": (lambda: Shear([1.0, 2.0]), "`rate` must have shape ()"),
     "NaN phase": (lambda: OscillatingShear(1.0, 1.0, NAN), "`phase` must be finite"),
     "force that is no function": (lambda: ForceField(None), "`function` must be a function"),
-    "law a string": (lambda: Bending(1.0, 0.0, "sine"), "`law` must be"),
+    "discrete curvature a string": (
+        lambda: Bending(1.0, 0.0, "sine"),
+        "`discrete_curvature` must be",
+    ),
     "no shear": (lambda: scenes.jeffery(5, shear_rate=0.0), "`shear_rate` must be positive"),
     "large amplitude": (
         lambda: scenes.relaxation(6, 1, amplitude=0.5),

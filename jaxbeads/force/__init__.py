@@ -13,7 +13,7 @@ from .bending import Bending as Bending
 from .bending import BendingEnergy as BendingEnergy
 from .bending import DrivingMoment as DrivingMoment
 from .contact import Contact as Contact
-from .curvature import AbstractCurvatureLaw as AbstractCurvatureLaw
+from .curvature import AbstractDiscreteCurvature as AbstractDiscreteCurvature
 from .curvature import CrossProductCurvature as CrossProductCurvature
 from .curvature import SineRuleCurvature as SineRuleCurvature
 from .field import ForceField as ForceField

@@ -20,7 +20,7 @@ from ..setting import Setting
 from ..state import Load, State
 from .base import AbstractForce, AbstractPotential
 from .curvature import (
-    AbstractCurvatureLaw,
+    AbstractDiscreteCurvature,
     CrossProductCurvature,
     Curvature,
     along_normals,
@@ -32,7 +32,7 @@ from .curvature import (
     stiffest,
 )
 
-_DEFAULT_LAW = CrossProductCurvature()
+_CROSS_PRODUCT = CrossProductCurvature()
 
 
 def _joint_length(chain: Chain) -> Float[Array, " joints"]:
@@ -90,7 +90,7 @@ class Bending(AbstractForce):
       that belong to the fibre, `(beads - 2, 2)` (see `actuation.TwoPlanes`); or vectors
       `(beads - 2, 3)` that keep their direction in space. For an active fibre a function
       kappa_0(t, arclength, length) of the joints, as those of `jaxbeads.actuation`.
-    - `law`: discrete curvature, `CrossProductCurvature()` (34) or `SineRuleCurvature()` (33).
+    - `discrete_curvature`: `CrossProductCurvature()` (34) or `SineRuleCurvature()` (33).
 
     **Raises** `ValueError` for a negative rigidity, values that are not finite, or wrong shapes.
     """
@@ -101,20 +101,20 @@ class Bending(AbstractForce):
     stiff: ClassVar[bool] = True
     rigidity: Array
     intrinsic_curvature: Curvature
-    law: AbstractCurvatureLaw
+    discrete_curvature: AbstractDiscreteCurvature
 
     def __init__(
         self,
         rigidity: Any,
         intrinsic_curvature: Any = 0.0,
-        law: AbstractCurvatureLaw = _DEFAULT_LAW,
+        discrete_curvature: AbstractDiscreteCurvature = _CROSS_PRODUCT,
     ) -> None:
         self.rigidity = float_array(rigidity)
         self.intrinsic_curvature = curvature_at_rest(intrinsic_curvature)
-        self.law = law
+        self.discrete_curvature = discrete_curvature
 
     def __check_init__(self) -> None:
-        kind("law", self.law, AbstractCurvatureLaw)
+        kind("discrete_curvature", self.discrete_curvature, AbstractDiscreteCurvature)
         check_bending(self.rigidity, self.intrinsic_curvature, spatial=True)
 
     def moments(
@@ -125,7 +125,9 @@ class Bending(AbstractForce):
         name = f"{type(self).__name__}.intrinsic_curvature"
         rest = _rest(name, self.intrinsic_curvature, t, chain, dim)
         rest = oriented(rest, e[:-1], e[1:], state, chain, chain.fibre_of_bead[1:-1])
-        m = moments(self.rigidity, self.law, e[:-1], e[1:], _joint_length(chain), rest)
+        m = moments(
+            self.rigidity, self.discrete_curvature, e[:-1], e[1:], _joint_length(chain), rest
+        )
         return m * chain.joint_mask[:, None]
 
     def load(self, t: Float[Array, ""], state: State, scene: Setting) -> Load:
@@ -159,7 +161,7 @@ class Bending(AbstractForce):
 def _energy(
     force: "Bending | BendingEnergy", t: Float[Array, ""], state: State, chain: Chain
 ) -> Float[Array, ""]:
-    """Sum of (K_b / l)(law(phi) - l kappa_0 phi)."""
+    """Sum of (K_b / l)(G(phi) - l kappa_0 phi)."""
     e = tangents(state.position)
     cosine = jnp.sum(e[:-1] * e[1:], axis=-1)
     name = f"{type(force).__name__}.intrinsic_curvature"
@@ -168,7 +170,7 @@ def _energy(
     if rest.ndim > 1:
         fail(name, "be one number for each joint in an energy", f"it has shape {rest.shape}")
     rest = rest * turning_angles(state.position)
-    joint = force.rigidity * (force.law.energy(cosine) / _joint_length(chain) - rest)
+    joint = force.rigidity * (force.discrete_curvature.energy(cosine) / _joint_length(chain) - rest)
     return jnp.sum(joint * chain.joint_mask)
 
 
@@ -211,7 +213,7 @@ class DrivingMoment(AbstractForce):
 
 
 class BendingEnergy(AbstractPotential):
-    """Bending as an energy of the positions, sum of (K_b / l)(law(phi) - l kappa_0 phi).
+    """Bending as an energy of the positions, sum of (K_b / l)(G(phi) - l kappa_0 phi).
 
     The same elasticity as `Bending`, as forces on the centres: it needs no rotation, so it also
     serves chains without spins. Arguments as there, except that `intrinsic_curvature` is a number, one
@@ -225,20 +227,20 @@ class BendingEnergy(AbstractPotential):
     stiff: ClassVar[bool] = True
     rigidity: Array
     intrinsic_curvature: Curvature
-    law: AbstractCurvatureLaw
+    discrete_curvature: AbstractDiscreteCurvature
 
     def __init__(
         self,
         rigidity: Any,
         intrinsic_curvature: Any = 0.0,
-        law: AbstractCurvatureLaw = _DEFAULT_LAW,
+        discrete_curvature: AbstractDiscreteCurvature = _CROSS_PRODUCT,
     ) -> None:
         self.rigidity = float_array(rigidity)
         self.intrinsic_curvature = curvature_at_rest(intrinsic_curvature)
-        self.law = law
+        self.discrete_curvature = discrete_curvature
 
     def __check_init__(self) -> None:
-        kind("law", self.law, AbstractCurvatureLaw)
+        kind("discrete_curvature", self.discrete_curvature, AbstractDiscreteCurvature)
         check_bending(self.rigidity, self.intrinsic_curvature, spatial=False)
 
     def energy(self, t: Float[Array, ""], state: State, scene: Setting) -> Float[Array, ""]:

@@ -22,7 +22,7 @@ Curvature = Array | Callable[[Array, Array, Array], Array]
 """Curvature at rest: numbers, or a function of time, arclength and length (`jaxbeads.actuation`)."""
 
 
-class AbstractCurvatureLaw(eqx.Module):
+class AbstractDiscreteCurvature(eqx.Module):
     """Discrete curvature at a joint where the tangent turns by phi over the arclength l (= 2a)."""
 
     @abc.abstractmethod
@@ -34,7 +34,7 @@ class AbstractCurvatureLaw(eqx.Module):
         """Integral of kappa l over phi: the bending energy of a joint times l / K_b."""
 
 
-class CrossProductCurvature(AbstractCurvatureLaw):
+class CrossProductCurvature(AbstractDiscreteCurvature):
     """kappa = |e x e'| / (2a), eq. (34); energy K_b (1 - cos phi) / (2a). Smooth for a straight and a
     folded chain; weakens when the chain turns by more than a right angle at one bead."""
 
@@ -47,7 +47,7 @@ class CrossProductCurvature(AbstractCurvatureLaw):
         return 1 - cosine
 
 
-class SineRuleCurvature(AbstractCurvatureLaw):
+class SineRuleCurvature(AbstractDiscreteCurvature):
     """kappa = sin(phi/2) / a, eq. (33): the circle through three neighbouring centres; energy
     (2 K_b / a)(1 - cos(phi/2)). Grows up to the fold, where its direction is undefined."""
 
@@ -108,7 +108,7 @@ def stiffest(rigidity: Array, mask: np.ndarray) -> Array:
 
 def moments(
     rigidity: Array,
-    law: AbstractCurvatureLaw,
+    discrete_curvature: AbstractDiscreteCurvature,
     before: Float[Array, "joints dim"],
     after: Float[Array, "joints dim"],
     span: Float[Array, " joints"],
@@ -117,7 +117,7 @@ def moments(
     """K_b (kappa - kappa_0) at joints where a tangent turns from `before` to `after` over the arclength
     `span`."""
     sine, cosine = cross(before, after), jnp.sum(before * after, axis=-1)
-    curvature = (law.secant(cosine) / span)[:, None] * sine
+    curvature = (discrete_curvature.secant(cosine) / span)[:, None] * sine
     return jnp.broadcast_to(rigidity, cosine.shape)[:, None] * (curvature - rest)
 
 

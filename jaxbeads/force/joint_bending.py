@@ -17,7 +17,7 @@ from ..setting import Setting
 from ..state import Load, State
 from .base import AbstractForce, repulsion
 from .curvature import (
-    AbstractCurvatureLaw,
+    AbstractDiscreteCurvature,
     Curvature,
     SineRuleCurvature,
     along_normals,
@@ -74,14 +74,14 @@ class JointBending(AbstractForce):
     gamma_i = m_i - m_{i-1}, eq. (47).
 
     The curvature is that of the turn phi from one director to the next over the bond length
-    2 (a + eps_g): with the default law sin(phi/2) / (a + eps_g), half of eq. (46) as it is printed,
+    2 (a + eps_g): by default it is sin(phi/2) / (a + eps_g), half of eq. (46) as it is printed,
     which would make the chain twice as stiff as `Bending`'s.
 
     **Arguments**
 
     - `rigidity`: K_b [force length^2], one for all joints or one each, `(beads - 1,)`.
     - `intrinsic_curvature`: as for `Bending`, at the joints, `(beads - 1,)` or `(beads - 1, 3)`.
-    - `law`: `SineRuleCurvature()` (46) or `CrossProductCurvature()`.
+    - `discrete_curvature`: `SineRuleCurvature()` (46) or `CrossProductCurvature()`.
     - `repulsion`: between neighbours, a `JointRepulsion`, or `None`.
 
     **Raises** `ValueError` for a negative rigidity, values that are not finite, or wrong shapes.
@@ -94,23 +94,23 @@ class JointBending(AbstractForce):
     internal: ClassVar[bool] = True
     rigidity: Array
     intrinsic_curvature: Curvature
-    law: AbstractCurvatureLaw
+    discrete_curvature: AbstractDiscreteCurvature
     repulsion: JointRepulsion | None
 
     def __init__(
         self,
         rigidity: Any,
         intrinsic_curvature: Any = 0.0,
-        law: AbstractCurvatureLaw = _SINE_RULE,
+        discrete_curvature: AbstractDiscreteCurvature = _SINE_RULE,
         repulsion: JointRepulsion | None = None,
     ) -> None:
         self.rigidity = float_array(rigidity)
         self.intrinsic_curvature = curvature_at_rest(intrinsic_curvature)
-        self.law = law
+        self.discrete_curvature = discrete_curvature
         self.repulsion = repulsion
 
     def __check_init__(self) -> None:
-        kind("law", self.law, AbstractCurvatureLaw)
+        kind("discrete_curvature", self.discrete_curvature, AbstractDiscreteCurvature)
         if self.repulsion is not None:
             kind("repulsion", self.repulsion, JointRepulsion)
         check_bending(self.rigidity, self.intrinsic_curvature, spatial=True)
@@ -129,7 +129,7 @@ class JointBending(AbstractForce):
             name = "JointBending.intrinsic_curvature"
             rest = rest_at(name, rest, t, *_links(chain), p.shape[1])
         rest = oriented(rest, p[:-1], p[1:], state, chain, chain.fibre_of_bead[:-1])
-        m = moments(self.rigidity, self.law, p[:-1], p[1:], chain.bond_length, rest)
+        m = moments(self.rigidity, self.discrete_curvature, p[:-1], p[1:], chain.bond_length, rest)
         return m * chain.bond_mask[:, None]
 
     def load(self, t: Float[Array, ""], state: State, scene: Setting) -> Load:
