@@ -39,7 +39,7 @@ TRICKS = {
     "constraint/base.py": "a quotient is computed once, whoever reads it; hidden zeros are no padding",
     "factors.py": "a diagonal as a slice is no pass over the whole matrix",
     "pairs.py": "products with ones are not merged with what they multiply",
-    "simulate.py": "one program for one interval rounds alike in chunks of any length",
+    "run.py": "one program for some steps rounds alike, however many it is asked for",
     "tensors.py": "a quotient is computed once, whoever reads it",
 }
 """Files of the package with tricks that rest on how XLA compiles, and what they rest on."""

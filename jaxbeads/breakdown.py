@@ -192,7 +192,7 @@ def locate(
         return explain(scene, carry.state, t0, int(after.steps), after.state)
     h, implicit = (t1 - t0) / stepper.substeps, stepper.solver.needs_derivatives
     start, end = (jnp.asarray(t, carry.state.position.dtype) for t in (t0, t1))
-    for index in range(stepper.substeps):
+    for index in range(int(carry.taken), stepper.substeps):
         new = _step(stepper, scene, carry, start, end, jnp.asarray(index))
         error, _ = bond_error(scene, new.state)
         outside = scene.outside(new.state)

@@ -139,32 +139,24 @@ class TrajectoryFile:
         handle["mark"] = np.zeros(3, np.int64)
         handle["seconds"] = np.full(2, np.nan)
 
-    def append(self, part: Solution, carry: Carry) -> None:
-        """Add the times of `part` and the checkpoint that belongs to them.
+    def append(self, part: Solution | None, carry: Carry) -> None:
+        """Add the times of `part`, if there are any, and the checkpoint that belongs to them.
 
         The new checkpoint takes the place of the last but one, and counts only once the mark says so:
         an interrupt at any place leaves the file as it was before, or as it is after.
         """
         mark: Any = self.handle["mark"]
         slot, done, _ = (int(x) for x in mark[:])
-        columns = {
-            "t": part.ts,
-            "position": part.states.position,
-            **_carried(part.states),
-            "residual": part.residual,
-            "bond_length_error": part.bond_length_error,
-        }
-        for name, column in columns.items():
-            if column is not None:
-                data: Any = self.handle[name]
-                data.resize(done + len(column), axis=0)
-                data[done:] = np.asarray(column)
+        for name, column in _columns(part).items():
+            data: Any = self.handle[name]
+            data.resize(done + len(column), axis=0)
+            data[done:] = np.asarray(column)
         group = self.handle.require_group(f"checkpoint/{1 - slot}")
         for index, leaf in enumerate(_leaves(carry)):
             group.require_dataset(str(index), leaf.shape, leaf.dtype)[...] = leaf
         self.handle.flush()
         self._set_seconds(np.nan)
-        mark[:] = (1 - slot, done + len(part.ts), int(carry.steps))
+        mark[:] = (1 - slot, done + (0 if part is None else len(part.ts)), int(carry.steps))
         self.handle.flush()
         if self.place is not None:
             self.place.take()
@@ -176,6 +168,14 @@ class TrajectoryFile:
 
     def _set_seconds(self, value: Any) -> None:
         self.handle.require_dataset("seconds", (2,), float)[...] = value
+
+
+def _columns(part: Solution | None) -> dict[str, Any]:
+    """What is written of each time."""
+    if part is None:
+        return {}
+    errors = {"residual": part.residual, "bond_length_error": part.bond_length_error}
+    return {"t": part.ts, "position": part.states.position, **_carried(part.states), **errors}
 
 
 def _open(path: str | Path, mode: str) -> h5py.File:

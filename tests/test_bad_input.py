@@ -115,7 +115,7 @@ def never(*_, **__):
 def unrun(monkeypatch):
     """Nothing may be advanced."""
     # By name: the attribute `jaxbeads.simulate` is the function.
-    monkeypatch.setattr(importlib.import_module("jaxbeads.simulate"), "_advance", never)
+    monkeypatch.setattr(importlib.import_module("jaxbeads.run"), "_stretch", never)
 
 
 @pytest.fixture
@@ -123,8 +123,8 @@ def untraced(unrun, monkeypatch):
     """Nothing may be compiled, and the dynamics may not even be traced."""
     for name in ("evaluation", "solved"):
         monkeypatch.setattr(importlib.import_module("jaxbeads.instant"), name, never)
-    for name in ("_init", "_diagnostics"):
-        monkeypatch.setattr(importlib.import_module("jaxbeads.simulate"), name, never)
+    for module, name in (("simulate", "_init"), ("run", "_diagnostics")):
+        monkeypatch.setattr(importlib.import_module(f"jaxbeads.{module}"), name, never)
 
 
 # What is wrong: the call, and the part of the message that has to say so.

@@ -1,6 +1,7 @@
 """Files, restart, and runs that end before their time (gate T10)."""
 
 import dataclasses
+import importlib
 import os
 import signal
 import subprocess
@@ -19,6 +20,7 @@ from jaxbeads import AB3, Chain, Scene, SimulationError, load, resume, simulate,
 from jaxbeads.constraint import Gears
 from jaxbeads.flow import VelocityField
 from jaxbeads.force import Bending, ForceField, Weight
+from jaxbeads.progress import Bar, Pace
 from jaxbeads.solver import Diffrax
 
 CHAIN = Chain(1.0, 6)
@@ -114,6 +116,52 @@ def test_interrupt_leaves_a_valid_file(tmp_path):
     assert len(load(path).ts) == len(part.ts)
     resume(path, model(), substeps=40, progress=False)
     assert bits(load(path)) == bits(whole)
+
+
+@pytest.mark.parametrize("options", [{"substeps": 4000}, {"tolerance": 1e-9}], ids=str)
+def test_a_run_goes_on_from_the_middle_of_an_interval(options, tmp_path, monkeypatch):
+    # Steps in stretches of 1, 8 and 2: the same bits, a file after each, and Ctrl-C between two of them.
+    module = importlib.import_module("jaxbeads.run")
+    path, state, times = tmp_path / "run.h5", bent(CHAIN), [0.0, 40.0, 80.0]
+    whole = simulate(model(), state, times, progress=False, **options)
+    steps = int(whole.steps)
+    monkeypatch.setattr(module, "_WRITE", -1.0)
+    monkeypatch.setattr(module.Pace, "taken", lambda self, *_: setattr(self, "most", 8))
+    assert bits(simulate(model(), state, times, progress=False, **options)) == bits(whole)
+    seen = []
+
+    def press_ctrl_c(self, t, taken):
+        seen.append((t, taken))
+        if taken > 0.7 * steps:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(module.Bar, "tell", press_ctrl_c)
+    with pytest.warns(UserWarning, match=r"interrupted at t = 40"):
+        part = simulate(model(), state, times, progress=False, file=path, **options)
+    assert len(part.ts) == 2 and bits(load(path)) == bits(part)
+    assert np.all(np.diff([t for t, _ in seen]) > 0) and 40 < seen[-1][0] < 80
+    monkeypatch.undo()
+    rest = resume(path, model(), progress=False, **options)
+    assert bits(load(path)) == bits(whole) and int(rest.steps) == steps
+
+
+def test_a_bar_tells_the_time_reached(capsys):
+    with Bar(1.0, 5.0, 1.0, shown=True) as bar:
+        bar.tell(2.0, 30)
+        bar.bar.refresh()
+        half = capsys.readouterr().err
+        bar.tell(5.0, 70)
+    assert "compiling:   0%" in half and "t = 2 of 5, 30 steps:  25%" in half
+    assert "t = 5 of 5, 70 steps: 100%" in capsys.readouterr().err
+
+
+def test_a_pace_of_half_a_second():
+    pace, asked = Pace(), []
+    for seconds in (20.0, 8e-3, 0.128, 0.256, 2.0, 0.0):
+        asked.append(pace.most)
+        pace.taken(pace.most, seconds)
+    assert asked == [1, 8, 128, 500, 976, 244]
+    assert pace.most == 16 * 244
 
 
 def test_a_term_that_fails_is_named(tmp_path):

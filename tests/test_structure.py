@@ -41,8 +41,9 @@ ORDER = [
     {"solver", "steady"},
     {"solution"},
     {"rollout"},
-    {"breakdown", "files", "objectives", "periodic"},
-    {"simulate", "fluid"},
+    {"breakdown", "files", "objectives", "periodic", "progress"},
+    {"run", "fluid"},
+    {"simulate"},
     {"scenes", "plot", "sweep"},
     {"__main__"},
 ]

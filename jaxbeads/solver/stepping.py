@@ -1,7 +1,9 @@
 """From one save time to the next: constant steps, or steps chosen by a controller.
 
 A stepper holds a solver and carries everything that the next step depends on, so a run that is cut
-between save times and continued from its carry is the same run, bit for bit.
+between save times, or between steps, and continued from its carry is the same run, bit for bit.
+`interval` goes through to the next save time and can be differentiated; `stretch` takes some of its
+steps, so that a host can look on, stop and go on.
 
 Steps are those of diffrax's solvers and controllers, but the loop is not `diffeqsolve`: between two
 steps bonds are set to their lengths and directors to unit length, laws and places are watched, a failed
@@ -9,6 +11,7 @@ step keeps the last good state, and the derivative of the loop is that of `loops
 step.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import diffrax
@@ -60,6 +63,8 @@ class Carry(eqx.Module):
     """An `Outcome`."""
     memory: Any
     """Of the solver and its controller."""
+    taken: Int[Array, ""]
+    """Attempted steps since the last save time; 0 at one."""
 
 
 MOST_KEPT = 2**25
@@ -88,7 +93,8 @@ class FixedSteps(eqx.Module):
         """Carry at the first save time t0; t1 is the next."""
         end = t0 + (t1 - t0) / self.substeps
         memory = self.solver.scheme.init(_TERM, t0, end, state, scene)
-        return Carry(state, jnp.zeros((), int), jnp.zeros((), int), memory)
+        none = jnp.zeros((), int)
+        return Carry(state, none, none, memory, none)
 
     def step(self, scene: Scene, carry: Carry, t0: Time, t1: Time, index: Any) -> Carry:
         """Step number `index` of the interval from t0 to t1."""
@@ -100,7 +106,8 @@ class FixedSteps(eqx.Module):
         )
         y = project(scene, y) if self.projected else tidied(scene, y)
         failed = result != diffrax.RESULTS.successful
-        return Carry(y, carry.steps + 1, jnp.where(failed, Outcome.GAVE_UP, carry.code), memory)
+        code = jnp.where(failed, Outcome.GAVE_UP, carry.code)
+        return Carry(y, carry.steps + 1, code, memory, carry.taken)
 
     def interval(self, scene: Scene, carry: Carry, t0: Time, t1: Time, intervals: int = 1) -> Carry:
         """Carry at t1 from that at t0, one of so many intervals."""
@@ -125,6 +132,20 @@ class FixedSteps(eqx.Module):
             -1, equal_parts(self.substeps, int(self.substeps**0.5))
         )
         return lax.scan(block, carry, indices)[0]
+
+    def stretch(self, scene: Scene, carry: Carry, t0: Time, t1: Time, most: Any) -> Carry:
+        """Carry after at most so many more steps of the interval from t0 to t1."""
+        until = jnp.minimum(carry.taken + most, self.substeps)
+
+        def step(index: Any, carry: Carry) -> Carry:
+            return self.step(scene, carry, t0, t1, index)
+
+        taken = jnp.where(until < self.substeps, until, 0)
+        return replace(lax.fori_loop(carry.taken, until, step, carry), taken=taken)
+
+    def reached(self, carry: Carry, t0: Time, t1: Time) -> Time:
+        """Time that a carry within the interval from t0 to t1 has reached."""
+        return t0 + (t1 - t0) / self.substeps * carry.taken
 
 
 def _first_step(scene: Scene, state: State, t0: Time, t1: Time) -> Array:
@@ -189,7 +210,8 @@ class AdaptiveSteps(eqx.Module):
         end = lax.stop_gradient(t0 + _plain(end - t0, t1 - t0))
         controller = lax.stop_gradient(jax.tree.map(jnp.asarray, controller))
         adaptive = _Adaptive(t0, end, state, memory, controller, jump, (t0, t0, dense))
-        return Carry(state, jnp.zeros((), int), jnp.zeros((), int), adaptive)
+        none = jnp.zeros((), int)
+        return Carry(state, none, none, adaptive, none)
 
     def attempt(
         self, scene: Scene, code: Array, a: _Adaptive, gap: Array
@@ -256,17 +278,41 @@ class AdaptiveSteps(eqx.Module):
 
     def interval(self, scene: Scene, carry: Carry, t0: Time, t1: Time, intervals: int = 1) -> Carry:
         """Carry at t1 from that at t0, one of so many intervals."""
-        first = jnp.zeros((), int), carry.code, carry.memory
         fixed = self, scene, jnp.asarray(t0), jnp.asarray(t1)
-        count, code, a = loop(_unfinished, _attempted, first, fixed, self.max_steps)
+        turn = loop(_unfinished, _attempted, _turn(carry), fixed, self.max_steps)
+        count, code, a = turn
+        return Carry(self._saved(scene, turn, t1), carry.steps + count, code, a, carry.taken)
+
+    def stretch(self, scene: Scene, carry: Carry, t0: Time, t1: Time, most: Any) -> Carry:
+        """Carry after at most so many more steps towards t1, the next save time after t0."""
+        fixed = self, scene, jnp.asarray(t0), jnp.asarray(t1)
+        first, last = _turn(carry), carry.taken + most
+
+        def unfinished(turn: _Turn) -> Array:
+            return _unfinished(turn, fixed) & (turn[0] < last)
+
+        turn = lax.while_loop(unfinished, lambda turn: _attempted(turn, fixed), first)
+        count, code, a = turn
+        done = ~_unfinished(turn, fixed)
+        saved = self._saved(scene, turn, t1)
+        state = jax.tree.map(lambda new, old: jnp.where(done, new, old), saved, carry.state)
+        steps = carry.steps + count - carry.taken
+        return Carry(state, steps, code, a, jnp.where(done, 0, count))
+
+    def reached(self, carry: Carry, t0: Time, t1: Time) -> Time:
+        """Time that a carry within the interval from t0 to t1 has reached."""
+        return jnp.where(carry.taken > 0, carry.memory.previous, t0)
+
+    def _saved(self, scene: Scene, turn: "_Turn", t1: Time) -> State:
+        """State at a save time that steps have reached or passed; NaN if they have not."""
+        _, code, a = turn
         start, end, info = a.dense
         inside = jnp.where(
             end > start, end, start + 1
         )  # before the first step there is no interval
         y = self._scheme[0].interpolation_cls(t0=start, t1=inside, **info).evaluate(t1)
         y = project(scene, y) if self.projected else tidied(scene, y)
-        y = jax.tree.map(lambda y: jnp.where(code == Outcome.FINE, y, jnp.nan), y)
-        return Carry(y, carry.steps + count, code, a)
+        return jax.tree.map(lambda y: jnp.where(code == Outcome.FINE, y, jnp.nan), y)
 
 
 @with_all_digits
@@ -299,6 +345,11 @@ def _larger(error: Any, by: Array) -> State:
 
 _Turn = tuple[Array, Array, _Adaptive]
 _Fixed = tuple[AdaptiveSteps, Scene, Array, Array]
+
+
+def _turn(carry: Carry) -> _Turn:
+    """Where the loop of an interval begins, or goes on."""
+    return carry.taken, carry.code, carry.memory
 
 
 def _unfinished(turn: _Turn, fixed: _Fixed) -> Array:
