@@ -191,11 +191,14 @@ def _open(path: str | Path, mode: str) -> h5py.File:
             f"{reason(error)}."
         ) from None
     missing = {"ts", "mark", *_COLUMNS} - set(handle)
-    if missing or handle.attrs.get("format") != FORMAT:
+    kind = handle.attrs.get("format")
+    if missing or kind != FORMAT:
         handle.close()
+        why = f"lacks {', '.join(sorted(missing)) or 'its format mark'}"
+        if kind not in (None, FORMAT):
+            why = f"is of format {kind}, of another version of jaxbeads"
         raise DamagedFile(
-            f"Argument `file` must be a trajectory file of format {FORMAT}, but {path} lacks "
-            f"{', '.join(sorted(missing)) or 'its format mark'}."
+            f"Argument `file` must be a trajectory file of format {FORMAT}, but {path} {why}."
         )
     return handle
 
@@ -281,10 +284,21 @@ def compare(path: str | Path, scene: Scene, stepper: Stepper) -> None:
             raise DamagedFile(
                 f"Argument `file` must be whole, but the model in {path} cannot be read."
             ) from None
-    different = before.difference(_contents(scene, stepper))
+    now = _contents(scene, stepper)
+    if _parts(before) != _parts(now):  # as where solvers did not carry their own options
+        raise DamagedFile(
+            "Argument `file` must be written by this version of jaxbeads to be continued, but "
+            f"{path} is of another one (`load` reads it)."
+        )
+    different = before.difference(now)
     if different is not None:
         must = "be the scene and solver with which the file was written"
         fail("scene", must, different)
+
+
+def _parts(contents: Contents) -> set[str]:
+    """What a model is made of, as `scene` and `solver`."""
+    return {path for path in contents.entries if path.isidentifier()}
 
 
 def _numbers(handle: h5py.File) -> Iterator[np.ndarray]:
