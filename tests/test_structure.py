@@ -28,7 +28,7 @@ ORDER = [
     {"images", "mirror"},
     {"fields"},
     {"chain", "flow", "actuation", "dimensionless"},
-    {"frames", "setting"},
+    {"frames", "setting", "tables"},
     {"carried"},
     {"mobility", "constraint", "force", "coincidence"},
     {"scene"},
@@ -43,7 +43,7 @@ ORDER = [
     {"rollout"},
     {"breakdown", "files", "objectives", "periodic"},
     {"simulate", "fluid"},
-    {"scenes", "plot", "sweep"},
+    {"scenes", "plot", "sweep", "paraview"},
     {"__main__"},
 ]
 # What the files of a sub-package may import from one another.
