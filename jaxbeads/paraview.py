@@ -77,7 +77,9 @@ def to_paraview(solution: Solution, scene: Scene, path: str | Path) -> Path:
         path.unlink(missing_ok=True)
     except OSError as error:
         fail("path", "be a file that can be written", f"{path} is not: {error.strerror}")
-    root = ElementTree.Element("VTKFile", type="Collection", version="0.1")
+    root = ElementTree.Element(
+        "VTKFile", type="Collection", version="0.1", byte_order="LittleEndian"
+    )
     collection = ElementTree.SubElement(root, "Collection")
     names = [f"beads_{k:0{max(4, len(str(len(ts) - 1)))}}.vtp" for k in range(len(ts))]
     for k, (t, name) in enumerate(zip(ts, names, strict=True)):
@@ -114,6 +116,8 @@ def flow_to_paraview(
     path = _path(path, ".vti")
     if not isinstance(field, (FlowField, AverageFlowField)):
         fail("field", "be a FlowField or an AverageFlowField", f"it is {described(field)}")
+    if not known(field):
+        fail("field", "hold numbers", "they are traced")
     low, high, numbers = _grid(_dimensions(field), bounds, shape)
     check_paraview()
     axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, numbers, strict=True)]
@@ -130,7 +134,11 @@ def flow_to_paraview(
     grid = vtkImageData()
     grid.SetDimensions(*numbers)
     grid.SetOrigin(*low)
-    grid.SetSpacing(*((high - low) / np.maximum(np.array(numbers) - 1, 1)).tolist())
+    # One of zero would be no grid.
+    steps = [
+        (b - a) / (n - 1) if n > 1 else 1.0 for a, b, n in zip(low, high, numbers, strict=True)
+    ]
+    grid.SetSpacing(*steps)
     write_whole(path, _written(vtkXMLImageDataWriter(), grid, arrays, t))
     return path
 
@@ -174,17 +182,22 @@ def _grid(
     dim: int, bounds: Any, shape: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray, tuple[int, ...]]:
     """Lowest and highest corner and numbers of points of a grid in space."""
-    pairs = np.asarray(bounds, float)
+    must = f"hold a pair for each of {dim} coordinates"
+    try:
+        pairs = np.asarray(bounds, float)
+    except (TypeError, ValueError):  # no numbers, or rows of unequal lengths
+        fail("bounds", must, f"it is {described(bounds)}")
     if pairs.shape not in {(dim, 2), (3, 2)}:
-        fail("bounds", f"hold a pair for each of {dim} coordinates", f"it has shape {pairs.shape}")
+        fail("bounds", must, f"it has shape {pairs.shape}")
     finite("bounds", pairs)
-    if len(shape) != len(pairs):
-        fail("shape", f"hold {len(pairs)} numbers, as many as `bounds`", f"it holds {len(shape)}")
+    if np.shape(shape) != (len(pairs),):
+        must = f"hold {len(pairs)} numbers, as many as `bounds`"
+        fail("shape", must, f"it has shape {np.shape(shape)}")
     for k, (number, (low, high)) in enumerate(zip(shape, pairs, strict=True)):
         whole(f"shape[{k}]", number, 1)
         if not (low < high if number > 1 else low == high):
-            must = "increase, and be equal where there is one point"
-            but = f"they are {low:g} and {high:g} for {number} point{'s' if number > 1 else ''}"
+            must = "increase, or be one value twice where there is one point"
+            but = f"it is {low:g} and {high:g} for {number} point{'s' if number > 1 else ''}"
             fail(f"bounds[{k}]", must, but)
     pairs = np.pad(pairs, ((0, 3 - len(pairs)), (0, 0)))
     numbers = tuple(int(n) for n in (*shape, 1)[:3])

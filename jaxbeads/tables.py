@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ._checks import described, fail, known, shape
+from ._checks import described, fail, kind, known, shape
 from .chain import Chain
 from .state import State
 from .storage import write_whole
@@ -72,6 +72,7 @@ def labelled(
         "component": list("xyz"[:dim]),
     }
     if chain is not None:
+        kind("chain", chain, Chain)
         if chain.beads != beads:
             fail("chain", f"have the solution's {beads} beads", f"it has {chain.beads}")
         of_beads = {
@@ -134,6 +135,8 @@ def to_csv(path: str | Path, ts: Any, columns: Mapping[str, Any]) -> Path:
 def _columns(name: str, value: Any, times: int) -> Iterator[tuple[str, list[float]]]:
     values = _numbers(f"columns[{name!r}]", value)
     shape(f"columns[{name!r}]", values, (times, *values.shape[1:]))
+    if values.size == 0 and times:
+        fail(f"columns[{name!r}]", "hold at least one number", "it is empty")
     for place in np.ndindex(values.shape[1:]):
         yield "_".join([name, *map(str, place)]), values[(slice(None), *place)].tolist()
 

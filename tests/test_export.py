@@ -260,7 +260,9 @@ GRIDS = {
     "half": ([(0, 1)] * 3, (2, 2, 2.5), r"`shape\[2\]` must be a whole number"),
     "none": ([(0, 1)] * 3, (2, 0, 2), r"`shape\[1\]` must be at least 1"),
     "backwards": ([(0, 1), (1, 0), (0, 1)], (2, 2, 2), r"`bounds\[1\]` must increase"),
-    "thick": ([(0, 1)] * 3, (2, 2, 1), "equal where there is one point, but .* 0 and 1 for 1"),
+    "thick": ([(0, 1)] * 3, (2, 2, 1), "twice where there is one point, but it is 0 and 1 for 1"),
+    "a number": ([(0, 1)] * 3, 8, r"`shape` must hold 3 numbers.*, but it has shape \(\)"),
+    "uneven": ([(0, 1), (0,)], (2, 2), "`bounds` must hold a pair .*, but it is a list"),
     "nan": ([(0, np.nan)] * 3, (2, 2, 2), "`bounds` must be finite"),
 }
 
@@ -295,7 +297,7 @@ def test_table_goes_through_netcdf(case, tmp_path):
         xarray.testing.assert_identical(stored.load(), table)
 
 
-def test_table_of_all_that_a_run_has(tmp_path):
+def test_table_of_all_that_a_run_has(tmp_path, unchecked):
     # Normals, numbers that forces own, what is not finite; single precision stays single.
     normal = jnp.asarray([[[0.0, 1.0, 0.0]]] * 3, jnp.float32)
     position = jnp.asarray(np.arange(18.0).reshape(3, 2, 3), jnp.float32).at[2].set(jnp.nan)
@@ -316,6 +318,8 @@ def test_table_of_all_that_a_run_has(tmp_path):
         assert stored.position.dtype == np.float32
     with pytest.raises(ValueError, match="`chain` must have the solution's 2 beads, but it has 3"):
         solution.to_xarray(Chain(1.0, 3))
+    with pytest.raises(ValueError, match="`chain` must be a Chain object, but it is a Scene"):
+        solution.to_xarray(Scene(Chain(1.0, 2), 1.0))
     with pytest.raises(ValueError, match="`solution` must be one run"):
         jax.tree.map(lambda x: x[None], solution).to_xarray()
     with pytest.raises(ValueError, match="`solution` must hold numbers, but they are traced"):
@@ -375,6 +379,7 @@ REFUSED = {
     "text": ({"a": ["x", "y", "z"]}, "must hold real numbers"),
     "complex": ({"a": np.zeros(3, complex)}, "must hold real numbers, but it holds complex128"),
     "ragged": ({"a": [[1.0], [1.0, 2.0], [1.0]]}, "must be an array of numbers, but it is a list"),
+    "empty": ({"a": np.zeros((3, 0))}, "must hold at least one number"),
     "time": ({"time": np.zeros(3)}, "name each column once, but 'time' is there twice"),
     "twice": ({"a": np.zeros((3, 2)), "a_1": np.zeros(3)}, "but 'a_1' is there twice"),
     "name": ({1: np.zeros(3)}, "hold names that are printable text, but one of them is 1"),
