@@ -39,6 +39,8 @@ from .fluid import flow_field as flow_field
 from .optimise import optimise as optimise
 from .optimum import Optimum as Optimum
 from .outcome import Outcome as Outcome
+from .paraview import flow_to_paraview as flow_to_paraview
+from .paraview import to_paraview as to_paraview
 from .periodic import PeriodicState as PeriodicState
 from .periodic import periodic_state as periodic_state
 from .rollout import rollout as rollout
@@ -57,6 +59,7 @@ from .state import State as State
 from .steady import SteadyState as SteadyState
 from .steady import steady_state as steady_state
 from .sweep import sweep as sweep
+from .tables import to_csv as to_csv
 from .vary import vary as vary
 
 try:

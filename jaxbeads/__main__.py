@@ -18,9 +18,11 @@ from .breakdown import SimulationError
 from .cache import enable_cache
 from .observables import curvature
 from .outcome import Outcome
+from .paraview import check_paraview, to_paraview
 from .scenes import MODELS, SCENES, AbstractModel, Case, ReadyMade, Value
 from .solution import Solution
 from .solver import AB3, AbstractSolver, Diffrax, Rosenbrock
+from .tables import to_csv
 
 _INTERRUPTED, _NO_READER = 128 + 2, 128 + 13  # as a shell reports SIGINT and SIGPIPE
 
@@ -54,8 +56,9 @@ def _parser() -> argparse.ArgumentParser:
             help="largest error of a step over the fibre's length (not for AB3)",
         )
         sub.add_argument(
-            "--out", type=Path, metavar="DIR", help="write pictures, movie, trajectory"
+            "--out", type=Path, metavar="DIR", help="write pictures, movie, trajectory, a table"
         )
+        sub.add_argument("--paraview", action="store_true", help="beside them, files for ParaView")
         sub.add_argument("--quiet", action="store_true", help="print the results alone")
         sub.add_argument("--json", action="store_true", help="print the results as JSON, last line")
         sub.add_argument(
@@ -113,17 +116,26 @@ def _solver(name: str, tolerance: float | None) -> AbstractSolver:
     return Diffrax(scheme, tolerance=tolerance)
 
 
-def _write(ready: ReadyMade, case: Case, solution: Solution, folder: Path) -> list[Path]:
+def _write(
+    ready: ReadyMade, case: Case, solution: Solution, folder: Path, paraview: bool
+) -> list[Path]:
     from . import plot
 
     chain = case.scene.chain
     co_moving = case.scene.flow is None if ready.co_moving is None else ready.co_moving
     view = plot.View.of(case.scene, co_moving=co_moving, stretch=ready.stretch)
     label, measure = ready.plotted
-    written = [folder / f"{ready.name}.h5"]
+    measured = measure(case, solution)
+    table = {label.replace("$", ""): measured}
+    written = [
+        folder / f"{ready.name}.h5",
+        to_csv(folder / f"{ready.name}_observable.csv", solution.ts, table),
+    ]
+    if paraview:
+        written.append(to_paraview(solution, case.scene, folder / f"{ready.name}.pvd"))
     pictures = {
         "shapes": plot.shapes(ready.shown(solution), chain, view=view),
-        "observable": plot.observable(solution.ts, measure(case, solution), label),
+        "observable": plot.observable(solution.ts, measured, label),
     }
     bent = curvature(solution.states.position, chain) if chain.fibres[0] > 2 else np.zeros(1)
     if np.max(np.abs(bent)) * float(chain.length[0]) > 1e-6:
@@ -153,6 +165,10 @@ def _run(ready: ReadyMade, arguments: argparse.Namespace) -> int:
     if arguments.solver is not None:
         options = {"solver": _solver(arguments.solver, arguments.tolerance)}
     folder: Path | None = arguments.out
+    if arguments.paraview:
+        if folder is None:
+            raise ValueError("Argument `--paraview` must go with `--out`, but that is not given.")
+        check_paraview()
     if folder is not None:
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -173,7 +189,7 @@ def _run(ready: ReadyMade, arguments: argparse.Namespace) -> int:
     if folder is not None and not interrupted:
         if not arguments.quiet:
             print("  drawing pictures and a movie ...")
-        for path in _write(ready, case, solution, folder):
+        for path in _write(ready, case, solution, folder, arguments.paraview):
             if not arguments.quiet:
                 print(f"  wrote {path}")
     if arguments.json:

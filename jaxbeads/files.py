@@ -44,7 +44,9 @@ from .storage import (
     written,
 )
 
-FORMAT = 1
+FORMAT = 2
+_READ = (1, 2)
+"""Formats that are read. The first holds whole intervals alone, and no number of steps since."""
 _COLUMNS = ("t", "position", "residual", "bond_length_error")
 _OWN = "own_"
 """Name of what a force owns, before the number of the force."""
@@ -191,11 +193,14 @@ def _open(path: str | Path, mode: str) -> h5py.File:
             f"{reason(error)}."
         ) from None
     missing = {"ts", "mark", *_COLUMNS} - set(handle)
-    if missing or handle.attrs.get("format") != FORMAT:
+    kind = handle.attrs.get("format")
+    if missing or kind not in _READ:
         handle.close()
+        why = f"lacks {', '.join(sorted(missing)) or 'its format mark'}"
+        if kind not in (None, *_READ):
+            why = f"is of format {kind}, of another version of jaxbeads"
         raise DamagedFile(
-            f"Argument `file` must be a trajectory file of format {FORMAT}, but {path} lacks "
-            f"{', '.join(sorted(missing)) or 'its format mark'}."
+            f"Argument `file` must be a trajectory file of format {FORMAT}, but {path} {why}."
         )
     return handle
 
@@ -281,10 +286,21 @@ def compare(path: str | Path, scene: Scene, stepper: Stepper) -> None:
             raise DamagedFile(
                 f"Argument `file` must be whole, but the model in {path} cannot be read."
             ) from None
-    different = before.difference(_contents(scene, stepper))
+    now = _contents(scene, stepper)
+    if _parts(before) != _parts(now):  # as where solvers did not carry their own options
+        raise DamagedFile(
+            "Argument `file` must be written by this version of jaxbeads to be continued, but "
+            f"{path} is of another one (`load` reads it)."
+        )
+    different = before.difference(now)
     if different is not None:
         must = "be the scene and solver with which the file was written"
         fail("scene", must, different)
+
+
+def _parts(contents: Contents) -> set[str]:
+    """What a model is made of, as `scene` and `solver`."""
+    return {path for path in contents.entries if path.isidentifier()}
 
 
 def _numbers(handle: h5py.File) -> Iterator[np.ndarray]:
@@ -304,6 +320,11 @@ def reopen(path: str | Path, carry: Carry) -> tuple[TrajectoryFile, Carry]:
         with _readable(path):
             slot, done, _ = (int(x) for x in np.asarray(handle["mark"]))
             _whole_columns(handle, path, done)
+            if handle.attrs["format"] == 1:
+                checkpoint: Any = handle[f"checkpoint/{slot}"]
+                *others, taken = _leaves(carry)
+                checkpoint.require_dataset(str(len(others)), (), taken.dtype)
+                handle.attrs["format"] = FORMAT
             carry = _restore(handle, f"checkpoint/{slot}", carry, path)
             seconds = _seconds(handle)
     except BaseException:

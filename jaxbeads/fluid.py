@@ -47,18 +47,25 @@ class FlowField(eqx.Module):
     def __call__(self, points: Any) -> Array:
         """Velocity [length/time] at points [length], an array of any shape whose last axis has the
         components: those of the scene, or three. **Raises** `ValueError` for another number."""
+        return self._at(points, True)
+
+    def ambient(self, points: Any) -> Array:
+        """Velocity of the undisturbed fluid, u_inf, at points, as above: as it is without the beads."""
+        return self._at(points, False)
+
+    def _at(self, points: Any, disturbed: bool) -> Array:
         points = float_array(points).astype(self.configuration.position.dtype)
         if points.ndim < 1 or points.shape[-1] not in (self.dim, 3):
             wanted = "2 or 3" if self.dim == 2 else "3"
             must = f"hold points of {wanted} components"
             fail("points", must, f"it has shape {points.shape}")
         flat = points.reshape(-1, points.shape[-1])
-        return _velocity(self, flat).reshape(points.shape)
+        return _velocity(self, flat, disturbed).reshape(points.shape)
 
 
 @with_all_digits
 @eqx.filter_jit
-def _velocity(field: FlowField, points: Array) -> Array:
+def _velocity(field: FlowField, points: Array, disturbed: bool) -> Array:
     size, here = points.shape[1], field.configuration
     points = _in_space(points)
     centre, drift = _mean(here.position), _mean(field.motion.velocity)
@@ -68,15 +75,21 @@ def _velocity(field: FlowField, points: Array) -> Array:
     beyond = jnp.zeros(len(points), bool) if clearance is None else clearance < 0
     at = jnp.where(beyond[:, None], here.position[:1], points)  # any place where there is fluid
     velocity = _ambient(field, at)
-    load, rate = field.load, field.strain_rate
-    if load.force is not None or load.torque is not None or rate is not None:
-        driven = field.mobility.fluid_velocity(here, load, rate, at)
-        velocity = velocity if driven is None else velocity + driven
-    count, moved = within(here, field.motion, at)
-    inside = (count > 0)[:, None]
-    velocity = jnp.where(inside, moved / jnp.maximum(count, 1.0)[:, None], velocity)
+    if disturbed:
+        velocity = _disturbed(field, at, velocity)
     velocity = jnp.where(beyond[:, None], 0.0, velocity)
     return (velocity - drift if field.co_moving else velocity)[:, :size]
+
+
+def _disturbed(field: FlowField, points: Array, velocity: Array) -> Array:
+    """With what the beads drive, and their own motion within them."""
+    load, rate, here = field.load, field.strain_rate, field.configuration
+    if load.force is not None or load.torque is not None or rate is not None:
+        driven = field.mobility.fluid_velocity(here, load, rate, points)
+        velocity = velocity if driven is None else velocity + driven
+    count, moved = within(here, field.motion, points)
+    inside = (count > 0)[:, None]
+    return jnp.where(inside, moved / jnp.maximum(count, 1.0)[:, None], velocity)
 
 
 def _mean(x: Float[Array, "beads 3"]) -> Float[Array, "1 3"]:

@@ -3,7 +3,7 @@
 import dataclasses
 import zlib
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import diffrax
 import equinox as eqx
@@ -14,9 +14,14 @@ from jaxtyping import Array, Float, Int
 
 from ._checks import known
 from ._typing import optional_float_array
+from .chain import Chain
 from .outcome import Outcome, meaning
 from .solver import AbstractSolver
 from .state import State
+from .tables import labelled
+
+if TYPE_CHECKING:
+    import xarray
 
 _SOLVERS = diffrax.AbstractSolver, AbstractSolver
 _WORDS = {int(outcome): outcome.word for outcome in Outcome if outcome.is_ending}
@@ -96,6 +101,28 @@ class Solution(eqx.Module):
         names = {name_number(name): name for name in _solver_names(*_SOLVERS)}
         found = [names.get(int(number)) for number in np.unique(np.asarray(self.method))]
         return ", ".join(name or "?" for name in found) if any(found) else None
+
+    def to_xarray(self, chain: Chain | None = None) -> "xarray.Dataset":
+        """All of it as a labelled table, as `table.position.sel(time=2.0, component="x")`; with
+        `table.to_netcdf("run.nc")` a file that other programs read. A host function.
+
+        **Argument** `chain`: gives each bead its fibre, radius and arclength as coordinates.
+        **Returns** an `xarray.Dataset`: `position` (time, bead, component), `director`, `normal` and
+        what forces own (`own_0`, ...) where there are, `residual`, `bond_length_error`, `steps`, `code`
+        and seconds. Attributes of each variable say what it is (`long_name`) and its `dimension`, in
+        units of the scene; those of the table have `status` and `solver`. **Raises** `ValueError` for a
+        batch, for numbers that are traced, and for a chain of other beads.
+        """
+        values = {
+            "residual": self.residual,
+            "bond_length_error": self.bond_length_error,
+            "steps": self.steps,
+            "code": self.code,
+            "wall_s": self.wall_s,
+            "compile_s": self.compile_s,
+        }
+        about = {"status": self.status, "solver": self.solver}
+        return labelled(self.ts, self.states, values, chain, **about)
 
     def summary(self) -> str:
         """What was done, in a few lines. A host function, which under a transformation, where numbers

@@ -13,6 +13,8 @@ from typing import NoReturn
 
 import h5py
 
+from ._checks import fail
+
 written: set[tuple[int, int]] = set()
 """Device and number of the files that runs of this process write: HDF5's lock is one of processes."""
 _count = itertools.count()
@@ -85,8 +87,19 @@ def _claimed(path: Path, name: str | Path) -> h5py.File | None:
 def replace_whole(path: Path, content: bytes) -> None:
     """Put a file in its place in one piece: an older one is there until then."""
     part = path.with_name(f"{path.name}.{os.getpid()}.part")
-    part.write_bytes(content)
-    part.replace(path)
+    try:
+        part.write_bytes(content)
+        part.replace(path)
+    finally:  # which is there still if the disk is full
+        part.unlink(missing_ok=True)
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """As `replace_whole`, at a user's argument `path`. **Raises** `ValueError` if that cannot be."""
+    try:
+        replace_whole(path, content)
+    except OSError as error:
+        fail("path", "be a file that can be written", f"{path} is not: {error.strerror}")
 
 
 class Place:

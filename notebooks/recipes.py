@@ -22,9 +22,9 @@
 # recipe says otherwise, bead radius, viscosity and weight of a bead are 1, and fibres are planar: two
 # coordinates, in a three-dimensional fluid.
 #
-# Runs: weight, results, pictures, units, tolerances, solvers, files, breakdowns. Terms: held ends,
-# forces, rigidities, heads, waves, flows, walls, contact, your own. Many runs: gradients, batches,
-# sweeps, optimisation, steady and periodic states.
+# Runs: weight, results, tables, pictures, ParaView, units, tolerances, solvers, files, breakdowns. Terms:
+# held ends, forces, rigidities, heads, waves, flows, walls, contact, your own. Many runs: gradients,
+# batches, sweeps, optimisation, steady and periodic states.
 
 # %%
 import tempfile
@@ -103,6 +103,23 @@ assert position.shape == (41, 8, 2) and curvature.shape == (41, 6)
 assert solution.residual.max() < 1e-12 and solution.bond_length_error.max() < 1e-12
 
 # %% [markdown]
+# ### How do I get a table of it?
+#
+# `to_xarray` labels all of a solution: `to_netcdf` makes it a file that other programs read, `to_dataframe`
+# a table of `pandas`. `to_csv` writes what was measured over time as text, with all digits; of several
+# components each has its column.
+
+# %%
+table = solution.to_xarray(chain)  # the chain adds fibres, radii and arclengths
+table.to_netcdf(folder / "fall.nc")
+tip = table.position.isel(bead=-1).sel(component="y")
+jb.to_csv(folder / "fall.csv", solution.ts, {"tip": tip, "centre": position.mean(axis=1)})
+print(table)
+with open(folder / "fall.csv") as file:
+    assert file.readline() == "time,tip,centre_0,centre_1\n"
+    assert np.array_equal(np.loadtxt(file, delimiter=",")[:, 1], tip)
+
+# %% [markdown]
 # ### How do I make a picture and a movie?
 #
 # `jaxbeads.plot` returns `matplotlib` figures and writes gifs; a `View` follows the fibre, or stretches
@@ -116,6 +133,24 @@ jaxbeads.plot.kymograph(solution, chain, axes=axes[1])
 plt.show()
 movie = jaxbeads.plot.movie(solution, chain, folder / "fall.gif", frames=12, view=view)
 assert movie.stat().st_size > 1000
+
+# %% [markdown]
+# ### How do I look at it in ParaView?
+#
+# With the extra `paraview` (`pip install '.[paraview]'`). Open `fall.pvd`; the filter Glyph (spheres, scale
+# array `radius`, scale factor 2, all points) shows beads to scale, Tube (scalars `radius`, by absolute
+# scalar) the fibres. Colours can be those of `curvature`, `force`, `velocity`, ... Open `flow.vti` beside it
+# for the fluid at one instant, here on the plane of the fibre.
+
+# %%
+jb.to_paraview(solution, scene, folder / "fall.pvd")
+low, high = position[-1].min(axis=0) - 10.0, position[-1].max(axis=0) + 10.0
+field = jb.flow_field(solution.ts[-1], solution.final, scene)
+flow = jb.flow_to_paraview(
+    field, folder / "flow.vti", bounds=np.stack([low, high], axis=1), shape=(40, 40)
+)
+print(len(list((folder / "fall").glob("*.vtp"))), "instants;", flow.name)
+assert len(list((folder / "fall").glob("*.vtp"))) == len(solution.ts)
 
 # %% [markdown]
 # ### How do I use micrometres, piconewtons and seconds?

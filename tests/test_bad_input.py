@@ -713,6 +713,19 @@ def shorten(path):
         handle["position"].resize(2, axis=0)
 
 
+def later(path):
+    with h5py.File(path, "r+") as handle:
+        handle.attrs["format"] = 3
+
+
+def earlier(path):
+    """As version 0.2 began: solvers did not carry their own options."""
+    with h5py.File(path, "r+") as handle:
+        text = handle["model"].asstr()[()]
+        del handle["model"]
+        handle["model"] = text.replace('"solver.', '"')
+
+
 DAMAGE = {
     "missing": (lambda path: path.unlink(), "must name a trajectory file, but .* does not exist"),
     "text": (lambda path: path.write_text("hello\n"), "cannot be read: file signature not found"),
@@ -720,9 +733,11 @@ DAMAGE = {
     "scrambled": (scramble, "must be (whole|a trajectory file)"),
     "another HDF5 file": (
         replace,
-        "must be a trajectory file of format 1, but .* lacks .*position",
+        "must be a trajectory file of format 2, but .* lacks .*position",
     ),
-    "another format": (without("format"), "of format 1, but .* lacks its format mark"),
+    "another format": (without("format"), "of format 2, but .* lacks its format mark"),
+    "a later format": (later, "of format 2, but .* is of format 3, of another version"),
+    "an earlier version": (earlier, r"of jaxbeads to be continued, but .* \(`load` reads it\)"),
     "no checkpoint": (without("checkpoint"), "must be whole, but .* lacks checkpoint/./0"),
     "part of the checkpoint": (without("checkpoint/1"), "but .* lacks checkpoint/1"),
     "no residuals": (without("residual"), "must be a trajectory file .* lacks residual"),
@@ -738,6 +753,12 @@ def test_a_file_that_cannot_be_continued(damage, says, written, tmp_path, unrun)
     with pytest.raises(ValueError, match=says) as caught:
         resume(path, model(), substeps=1, progress=False)
     assert sentence(caught.value).startswith("Argument `file`") and str(path) in str(caught.value)
+
+
+def test_a_file_of_an_earlier_version_is_read(written, tmp_path):
+    path = shutil.copy(written, tmp_path / "copy.h5")
+    earlier(path)
+    assert np.array_equal(load(path).states.position, load(written).states.position)
 
 
 OTHERS = {

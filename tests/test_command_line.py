@@ -91,21 +91,35 @@ def test_solvers_agree(shell):
 
 def test_out_writes_pictures_movie_and_trajectory(shell, tmp_path):
     folder = tmp_path / "new" / "folder"
-    lines, results = shell(f"jeffery --beads 4 --out {folder}")
-    names = ["jeffery.gif", "jeffery.h5", "jeffery_observable.png", "jeffery_shapes.png"]
+    pytest.importorskip("vtkmodules")
+    lines, results = shell(f"jeffery --beads 4 --out {folder} --paraview")
+    kinds = [".gif", ".h5", ".pvd", "_observable.csv", "_observable.png", "_shapes.png"]
     if plot.can_encode():
-        names.insert(2, "jeffery.mp4")
-    assert sorted(path.name for path in folder.iterdir()) == names
+        kinds.insert(2, ".mp4")
+    names = [f"jeffery{kind}" for kind in kinds]
+    assert sorted(path.name for path in folder.iterdir()) == ["jeffery", *names]
     assert all(any(f"wrote {folder / name}" in line for line in lines) for name in names)
     solution = jaxbeads.load(folder / "jeffery.h5")
     assert solution.status == "finished" and int(solution.steps) == results["steps"]
     assert solution.states.position.shape == (len(solution.ts), 4, 2)
+    assert len(list((folder / "jeffery").glob("*.vtp"))) == len(solution.ts)
+    header, *rows = (folder / "jeffery_observable.csv").read_text().splitlines()
+    assert header == "time,orientation [rad]"
+    angles = np.unwrap(jaxbeads.observables.orientation(solution.states.position))
+    assert np.array_equal([float(row.split(",")[1]) for row in rows], angles)
     for name in names:
         if name.endswith((".png", ".gif")):
             with Image.open(folder / name) as picture:
                 picture.load()
                 assert min(picture.size) > 100
                 assert name.endswith("png") or picture.n_frames == 90
+
+
+def test_paraview_needs_a_folder(capsys):
+    assert main(["jeffery", "--beads", "4", "--paraview"]) == 1
+    assert capsys.readouterr().err == (
+        "Argument `--paraview` must go with `--out`, but that is not given.\n"
+    )
 
 
 def test_quiet_prints_the_results_alone(capsys):

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import diffrax
+import h5py
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -77,6 +78,21 @@ def test_file_holds_what_the_solution_holds(tmp_path):
     stored = load(path)
     for a, b in zip(jax.tree.leaves(stored), jax.tree.leaves(solution), strict=True):
         assert np.array_equal(a, b)
+
+
+def test_a_file_of_the_first_format_goes_on(tmp_path):
+    # It lacks the number of steps since the last save time, the last entry of a checkpoint.
+    path, state = tmp_path / "run.h5", bent(CHAIN)
+    whole = simulate(model(), state, TIMES, progress=False)
+    stop = {"until": lambda s: len(s.ts) > 5, "chunk": 1}
+    simulate(model(), state, TIMES, progress=False, file=path, **stop)
+    with h5py.File(path, "r+") as handle:
+        handle.attrs["format"] = 1
+        for checkpoint in handle["checkpoint"].values():
+            del checkpoint[max(checkpoint, key=int)]
+    assert bits(load(path)) == bits(whole)[: len(bits(load(path)))]
+    resume(path, model(), progress=False)
+    assert bits(load(path)) == bits(whole)
 
 
 def test_resume_of_a_finished_run_changes_nothing(tmp_path):

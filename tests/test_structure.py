@@ -28,7 +28,7 @@ ORDER = [
     {"images", "mirror"},
     {"fields"},
     {"chain", "flow", "actuation", "dimensionless"},
-    {"frames", "setting"},
+    {"frames", "setting", "tables"},
     {"carried"},
     {"mobility", "constraint", "force", "coincidence"},
     {"scene"},
@@ -44,7 +44,7 @@ ORDER = [
     {"breakdown", "files", "objectives", "periodic", "progress"},
     {"run", "fluid"},
     {"simulate"},
-    {"scenes", "plot", "sweep"},
+    {"scenes", "plot", "sweep", "paraview"},
     {"__main__"},
 ]
 # What the files of a sub-package may import from one another.
