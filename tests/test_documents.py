@@ -1,6 +1,9 @@
 """What people read: lengths, links, pictures, recipes, and that what is named is there."""
 
+import json
 import re
+import subprocess
+import sys
 from itertools import pairwise
 from pathlib import Path
 
@@ -102,6 +105,24 @@ def test_every_benchmark_has_its_command():
     programs = [p for p in programs if not p.stem.endswith("_worker")]
     assert len(programs) >= 9
     assert not [p.name for p in programs if f"python benchmarks/{p.name}" not in page]
+
+
+def test_tables_are_those_of_the_files():
+    # In a process of its own: programs choose devices and precision.
+    command = [sys.executable, ROOT / "benchmarks" / "tables.py", "--check"]
+    run = subprocess.run(command, capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+
+
+def test_figures_say_where_they_are_from():
+    files = sorted((ROOT / "benchmarks" / "results").iterdir())
+    assert files
+    for file in files:
+        kept = json.loads(file.read_text())
+        assert f"python benchmarks/{file.stem}.py" in kept["command"]
+        assert kept["commit"] and kept["date"] and kept["machine"] and kept["figures"]
+        assert {"Python", "jax", "jaxlib"} <= set(kept["versions"])
+        assert not re.search(r"/(home|tmp|root|Users)/", file.read_text()), f"{file.name}: a folder"
 
 
 def test_recipes():
