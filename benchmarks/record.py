@@ -9,6 +9,7 @@ import argparse
 import datetime
 import importlib.util
 import json
+import math
 import os
 import platform
 import re
@@ -146,15 +147,17 @@ def number(value: float | None, digits: int = 2) -> str:
     if value is None:
         return "-"
     rounded = float(f"{value:.{digits}g}")
-    if 1000 <= abs(rounded) < 1e7:
-        return f"{rounded:,.0f}".replace(",", " ")
-    shown = f"{rounded:#.{digits}g}" if 1e-3 <= abs(rounded) < 1000 else f"{rounded:.{digits}g}"
-    return shown.rstrip(".")
+    if not 1e-3 <= abs(rounded) < 1e7:
+        return f"{rounded:.{digits}g}"
+    decimals = max(0, digits - 1 - math.floor(math.log10(abs(rounded))))
+    return f"{rounded:,.{decimals}f}".replace(",", " ")
 
 
 def order(value: float | None) -> str:
     """An error, with one digit."""
-    return "-" if value is None else f"{value:.0e}".replace("e-0", "e-") if value else "0"
+    if value is None or not 0 < value < 0.1:
+        return number(value, 1)
+    return f"{value:.0e}".replace("e-0", "e-")
 
 
 def duration(seconds: float | None, digits: int = 2) -> str:

@@ -125,6 +125,24 @@ def test_figures_say_where_they_are_from():
         assert not re.search(r"/(home|tmp|root|Users)/", file.read_text()), f"{file.name}: a folder"
 
 
+def test_words_for_tables(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    import record
+
+    assert [record.number(x) for x in (0.5, 1.96, 197.0, 54123.0)] == [
+        "0.50",
+        "2.0",
+        "200",
+        "54 000",
+    ]
+    assert [record.duration(x) for x in (0.0036, 5e-5, 61.2)] == ["3.6 ms", "50 us", "61 s"]
+    assert [record.order(x) for x in (3.2e-16, 0.0, 0.9, None)] == ["3e-16", "0", "0.9", "-"]
+    assert record.table(["a", "b"], [["1", "2"]]) == ["| a | b |", "| --- | --- |", "| 1 | 2 |"]
+    monkeypatch.delenv("XLA_FLAGS", raising=False)
+    words = ["/home/me/benchmarks/x.py", "--save", "--quick", "--plot=/home/me/a.png", "/tmp/me/b"]
+    assert record.command(words) == "python benchmarks/x.py --quick --plot=a.png b"
+
+
 def test_recipes():
     cells = jupytext.read(ROOT / "notebooks" / "recipes.py").cells
     checked = 0
