@@ -220,8 +220,8 @@ SHOWN = {
     "AB3": ("AB3, 2-D, N = 20, 1000 steps", "cost_ratio"),
     "substeps": ("Rosenbrock, 2-D, N = 20, 100 steps", "cost_ratio"),
     "adaptive": ("default, adaptive", "cost_ratio"),
-    "steady": ("steady_state", "cost_ratio"),
-    "periodic": ("periodic_state", "cost_ratio"),
+    "steady": ("steady state", "cost_ratio"),
+    "periodic": ("periodic state", "cost_ratio"),
     "AB3-forward": ("AB3, 2-D, N = 20, 1000 steps", "tangent_ratio"),
     "adaptive-forward": ("default, adaptive", "tangent_ratio"),
 }
@@ -232,7 +232,7 @@ def values(figures: dict[str, Any]) -> dict[str, str]:
     rows, found = figures["rows"], {}
     for name, (begin, column) in SHOWN.items():
         row = next((row for case, row in rows.items() if case.startswith(begin)), {})
-        found[f"gradient-{name}"] = number(row.get(column))
+        found[f"gradient-{name}"] = number(row[column]) if row else "(not measured)"
     return found
 
 

@@ -392,13 +392,14 @@ def tables(figures: dict[str, Any]) -> dict[str, list[str]]:
     """What reached its end, and what was stopped; a wrong result would be called so."""
     ended, stopped = [], []
     for name, row in figures.items():
+        steps, said = str(row["steps"]), row["message"].replace("|", r"\|")
         if row["reached"]:
-            errors = order(row["error"]), order(row["start"]), order(row["bond"])
-            ended.append([name + " **wrong**" * (not row["right"]), *errors, str(row["steps"])])
+            errors = (order(row[c]) for c in ("error", "start", "bond"))
+            ended.append([name + " **wrong**" * (not row["right"]), *errors, steps, said])
         else:
-            stopped.append([name, str(row["steps"]), row["message"].replace("|", "\\|")])
+            stopped.append([name, steps, said])
     return {
-        "hard-cases": table(("case", "error", "start", "bonds", "steps"), ended),
+        "hard-cases": table(("case", "error", "start", "bonds", "steps", "seen"), ended),
         "hard-cases-stopped": table(("case", "steps", "stopped with"), stopped),
     }
 
