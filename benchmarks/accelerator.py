@@ -1,6 +1,6 @@
 """Time and error of kernels, batches and runs on an accelerator, beside the CPU of the same machine.
 
-    python benchmarks/accelerator.py [--quick] [--json]
+    python benchmarks/accelerator.py [--quick] [--json] [--save]
 
 Settling Gears fibres (weight, bending, RPY with rotation), float64. Every program is compiled for the
 first CPU device and for the first device of each other kind that jax finds; without one there is only
@@ -16,8 +16,6 @@ summation makes of rounding, and nothing else, may part them.
   of them, 100 fibres of 100.
 """
 
-import argparse
-import json
 import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -27,6 +25,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from gradient_cost import fibre
+from record import Program, duration, order, table
 from scaling import evaluation, median_ms, product, suspension
 
 import jaxbeads as jb
@@ -125,13 +124,26 @@ def measure(case: Case) -> dict[str, dict[str, float]]:
     return rows
 
 
+def tables(figures: dict[str, Any]) -> dict[str, list[str]]:
+    kinds = [kind for kind in figures["devices"] if kind != "cpu"]
+    head = [""]
+    for kind in kinds:
+        head += [figures["devices"][kind], "compiling", "error"]
+    head += ["CPU of that machine", "compiling"]
+    rows = []
+    for name, row in figures["rows"].items():
+        cells = [name]
+        for kind in (*kinds, "cpu"):
+            found = row[kind]
+            cells += [duration(1e-3 * found["ms"]), duration(found["compile_s"])]
+            cells += [order(found["error"])] * (kind != "cpu")
+        rows.append(cells)
+    return {"accelerators": table(head, rows)}
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="fewer sizes, 1000 beads at most")
-    parser.add_argument(
-        "--json", action="store_true", help="print one JSON object as the last line"
-    )
-    arguments = parser.parse_args()
+    program = Program(__doc__, "fewer sizes, 1000 beads at most")
+    arguments = program.arguments()
     found = devices()
     print(", ".join(f"{kind}: {device.device_kind}" for kind, device in found.items()))
     print(f"{'':<26}{'device':<8}{'ms':>12}{'over CPU':>10}{'compile s':>11}{'error':>10}")
@@ -146,8 +158,8 @@ def main() -> None:
                     f"{row['compile_s']:11.1f}{row['error']:10.1e}",
                     flush=True,
                 )
-    if arguments.json:
-        print(json.dumps(rows))
+    kinds = {kind: device.device_kind for kind, device in found.items()}
+    program.end({"devices": kinds, "rows": rows}, rows)
 
 
 if __name__ == "__main__":

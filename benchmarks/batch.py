@@ -1,6 +1,6 @@
 """Cost of a member: alone in a Python loop, in a batch by `vmap`, and in a sweep.
 
-    python benchmarks/batch.py [--quick] [--json]
+    python benchmarks/batch.py [--quick] [--json] [--save]
 
 256 settling Gears fibres (N = 20) of different viscosity, by equal steps (AB3) and by steps that each
 chooses (the default). The loop calls a compiled function of one member. A batch is the `vmap` of that
@@ -11,8 +11,6 @@ loop of the sweep on two devices. The error is the largest difference from the l
 radius.
 """
 
-import argparse
-import json
 import statistics
 import tempfile
 import time
@@ -25,11 +23,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from gradient_cost import fibre
+from record import Program, duration, number, order, table
 
 import jaxbeads as jb
 
 jax.config.update("jax_enable_x64", True)
-jax.config.update("jax_num_cpu_devices", 2)
 SIDES, CHUNK = 64, 16
 
 
@@ -98,11 +96,25 @@ def measure(adaptive: bool, members: int, rounds: int) -> dict[str, float]:
     }
 
 
+def tables(figures: dict[str, Any]) -> dict[str, list[str]]:
+    head = ("", "loop", "`vmap`, 64 at a time", "sweep, one device", "sweep, two devices", "error")
+    ratios = ("vmap_ratio", "sweep_ratio", "two_devices_ratio")
+    rows = (
+        [
+            name,
+            duration(1e-3 * row["loop_ms"]),
+            *(number(row[c]) for c in ratios),
+            order(row["error"]),
+        ]
+        for name, row in figures["rows"].items()
+    )
+    return {"batches": table(head, rows)}
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="fewer rounds")
-    parser.add_argument("--json", action="store_true", help="one JSON object as the last line")
-    arguments = parser.parse_args()
+    jax.config.update("jax_num_cpu_devices", 2)
+    program = Program(__doc__, "fewer rounds")
+    arguments = program.arguments()
     rounds = 3 if arguments.quick else 9
     rows = {"equal steps": False, "own steps": True}
     results = {name: measure(adaptive, 256, rounds) for name, adaptive in rows.items()}
@@ -110,9 +122,8 @@ def main() -> None:
     print(f"{'':14}" + "".join(f"{c:>19}" for c in columns))
     for name, row in results.items():
         print(f"{name:14}" + "".join(f"{row[c]:19.3g}" for c in columns))
-    if arguments.json:
-        ratio = max(row["two_devices_ratio"] for row in results.values())
-        print(json.dumps({"per_member_ratio": ratio, "rows": results}))
+    ratio = max(row["two_devices_ratio"] for row in results.values())
+    program.end({"per_member_ratio": ratio, "rows": results})
 
 
 if __name__ == "__main__":

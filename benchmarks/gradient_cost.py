@@ -1,6 +1,6 @@
 """Cost, memory and error of gradients against the forward run.
 
-    python benchmarks/gradient_cost.py [--quick] [--json]
+    python benchmarks/gradient_cost.py [--quick] [--json] [--save]
 
 A Gears fibre (RPY, weight, bending) settles; the value is a fixed sum of its last positions, and the
 gradient is by the rigidity of every joint, an intrinsic curvature of every joint, viscosity and weight.
@@ -15,8 +15,6 @@ Unless XLA_FLAGS is set, fusions are compiled by XLA's older code generator, as 
 gradients; `XLA_FLAGS= python ...` measures the default.
 """
 
-import argparse
-import json
 import os
 import statistics
 import time
@@ -26,6 +24,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from record import Program, duration, number, order, table
 
 import jaxbeads as jb
 from jaxbeads.constraint import Gears
@@ -168,51 +167,96 @@ def measure(case: Case, rounds: int) -> dict[str, float]:
 
 
 def cases(quick: bool) -> list[Callable[[], Case]]:
-    chosen = [lambda: settling(20, 2, 1_000), lambda: settling(20, 2, 10_000)]
+    first = [lambda: settling(20, 2, 1_000), lambda: settling(20, 2, 10_000)]
+    last = [
+        lambda: settling(20, 2, 100, jb.Rosenbrock, 10.0),
+        lambda: adaptive(20, 1e-6),
+        lambda: steady(20),
+    ]
     if quick:
-        return chosen
+        return [*first, *last]
     return [
-        *chosen,
+        *first,
         lambda: settling(10, 2, 1_000),
         lambda: settling(50, 2, 1_000),
         lambda: settling(100, 2, 1_000),
         lambda: settling(20, 2, 100),
         lambda: settling(20, 3, 1_000),
         lambda: settling(50, 3, 1_000),
-        lambda: settling(20, 2, 100, jb.Rosenbrock, 10.0),
         lambda: settling(20, 2, 1_000, jb.Rosenbrock, 10.0),
-        lambda: adaptive(20, 1e-6),
-        lambda: steady(20),
+        *last,
         lambda: periodic(12),
     ]
 
 
+def tables(figures: dict[str, Any]) -> dict[str, list[str]]:
+    head = (
+        "",
+        "value",
+        "value and gradient over it",
+        "forward mode, each number",
+        "memory",
+        "to differences",
+        "between modes",
+        "compiling",
+    )
+    rows = (
+        [
+            name,
+            duration(row["forward_s"]),
+            number(row["cost_ratio"]),
+            number(row["tangent_ratio"]),
+            f"{number(row['memory_mib'])} MiB",
+            order(row["fd_error"]),
+            order(row["mode_error"]),
+            duration(row["compile_s"]),
+        ]
+        for name, row in figures["rows"].items()
+    )
+    return {"gradients": table(head, rows)}
+
+
+SHOWN = {
+    "AB3": ("AB3, 2-D, N = 20, 1000 steps", "cost_ratio"),
+    "substeps": ("Rosenbrock, 2-D, N = 20, 100 steps", "cost_ratio"),
+    "adaptive": ("default, adaptive", "cost_ratio"),
+    "steady": ("steady state", "cost_ratio"),
+    "periodic": ("periodic state", "cost_ratio"),
+    "AB3-forward": ("AB3, 2-D, N = 20, 1000 steps", "tangent_ratio"),
+    "adaptive-forward": ("default, adaptive", "tangent_ratio"),
+}
+"""Numbers of the README: the case, by what its name begins with, and its column."""
+
+
+def values(figures: dict[str, Any]) -> dict[str, str]:
+    rows, found = figures["rows"], {}
+    for name, (begin, column) in SHOWN.items():
+        row = next((row for case, row in rows.items() if case.startswith(begin)), {})
+        found[f"gradient-{name}"] = number(row[column]) if row else "(not measured)"
+    return found
+
+
 def main() -> None:
+    program = Program(__doc__, "N = 20 in the plane, one case of each kind; no periodic state")
+    arguments = program.arguments()
     os.environ.setdefault(
         "XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false"
     )  # read by the first use
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="N = 20 in the plane only")
-    parser.add_argument(
-        "--json", action="store_true", help="print one JSON object as the last line"
-    )
-    arguments = parser.parse_args()
-    rows = []
+    rows = {}
     for build in cases(arguments.quick):
         case = build()
         row = measure(case, 5 if arguments.quick else 7)
         if not rows:
             print(f"{'case':<40}" + "".join(f"{c:>14}" for c in row))
-        rows.append(row)
+        rows[case.name] = row
         print(f"{case.name:<40}" + "".join(f"{x:14.3g}" for x in row.values()), flush=True)
-    if arguments.json:
-        first, longer = rows[:2]
-        result = {
-            "cost_ratio": first["cost_ratio"],
-            "memory_ratio": longer["memory_mib"] / first["memory_mib"],
-            "fd_error": max(first["fd_error"], longer["fd_error"]),
-        }
-        print(json.dumps(result))
+    first, longer, *_ = rows.values()
+    result = {
+        "cost_ratio": first["cost_ratio"],
+        "memory_ratio": longer["memory_mib"] / first["memory_mib"],
+        "fd_error": max(first["fd_error"], longer["fd_error"]),
+    }
+    program.end({**result, "rows": rows}, result)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Numerical stability: cases that break solvers, each with its end and its error, or why it stopped.
 
-    python benchmarks/hard_cases.py [--quick] [--json] [--only TEXT]
+    python benchmarks/hard_cases.py [--quick] [--json] [--save] [--only TEXT]
 
 Each case is run with `simulate`, by default with the solver and the tolerance (1e-6) that the scene gets
 by itself. A run that reaches its end is compared with a reference: that with a tolerance of 1e-9, or
@@ -16,9 +16,7 @@ or 20 times that displacement.
 The last line counts silent wrong results; the exit code is 1 if there is one.
 """
 
-import argparse
 import dataclasses
-import json
 import time
 import warnings
 from collections.abc import Callable, Mapping
@@ -30,6 +28,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from record import Program, order, table
 from speed_against_error import distance, settling
 
 import jaxbeads as jb
@@ -389,12 +388,26 @@ def text(value: float | None) -> str:
     return "-" if value is None else f"{value:.1e}"
 
 
+def tables(figures: dict[str, Any]) -> dict[str, list[str]]:
+    """What reached its end, and what was stopped; a wrong result would be called so."""
+    ended, stopped = [], []
+    for name, row in figures.items():
+        steps, said = str(row["steps"]), row["message"].replace("|", r"\|")
+        if row["reached"]:
+            errors = (order(row[c]) for c in ("error", "start", "bond"))
+            ended.append([name + " **wrong**" * (not row["right"]), *errors, steps, said])
+        else:
+            stopped.append([name, steps, said])
+    return {
+        "hard-cases": table(("case", "error", "start", "bonds", "steps", "seen"), ended),
+        "hard-cases-stopped": table(("case", "steps", "stopped with"), stopped),
+    }
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="a few of them")
-    parser.add_argument("--json", action="store_true", help="one JSON object as the last line")
-    parser.add_argument("--only", metavar="TEXT", help="those whose names hold this")
-    arguments = parser.parse_args()
+    program = Program(__doc__, "a few of them")
+    program.parser.add_argument("--only", metavar="TEXT", help="those whose names hold this")
+    arguments = program.arguments()
     names = QUICK if arguments.quick else tuple(CASES)
     names = tuple(name for name in names if arguments.only is None or arguments.only in name)
     found = {}
@@ -412,8 +425,7 @@ def main() -> None:
         f"{len(found)} cases, {sum(not o.reached for o in found.values())} stopped with a message, "
     )
     print(f"{len(wrong)} silent wrong results{': ' + '; '.join(wrong) if wrong else ''}")
-    if arguments.json:
-        print(json.dumps({name: o._asdict() for name, o in found.items()}))
+    program.end({name: o._asdict() for name, o in found.items()})
     raise SystemExit(bool(wrong))
 
 

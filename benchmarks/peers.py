@@ -1,6 +1,6 @@
 """Mobility of pygrpy and settling fibre of SoftMobility beside those of jaxbeads, in one run.
 
-    python benchmarks/peers.py [--quick] [--json] [--environments FOLDER]
+    python benchmarks/peers.py [--quick] [--json] [--save] [--environments FOLDER]
 
 Mobility: forces and torques on N beads in space give velocities and spins, by Rotne-Prager-Yamakawa
 with rotation. pygrpy builds the 6N x 6N matrix and multiplies it, by NumPy and in one `jit`; jaxbeads
@@ -22,7 +22,6 @@ small, and on busy cores its threads wait for one another. `--quick` leaves Soft
 compiles for minutes.
 """
 
-import argparse
 import json
 import os
 import subprocess
@@ -38,6 +37,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from peers_worker import compiled, median_seconds
+from record import Program, duration, number, order, table
 
 import jaxbeads as jb
 from jaxbeads.constraint import Gears
@@ -239,22 +239,38 @@ def fibre(python: Path) -> dict[str, dict[str, float]]:
     return rows
 
 
+def tables(figures: dict[str, Any]) -> dict[str, list[str]]:
+    columns = ("numpy_us", "jax_us", "rpy_us", "rpy_motion_us")
+    products = (
+        [beads, *(duration(1e-6 * row[c]) for c in columns), order(row["difference"])]
+        for beads, row in figures["mobility"].items()
+    )
+    head = ("beads", "pygrpy, NumPy", "pygrpy, JAX", "`rpy`", "`rpy_motion`", "difference")
+    paths = (
+        [
+            name,
+            str(row["steps"]),
+            duration(row["path_s"]),
+            duration(row["compile_s"]),
+            number(row["speed"], 4),
+            number(row["difference/a"]),
+        ]
+        for name, row in figures.get("fibre", {}).items()
+    )
+    fibres = ("", "steps", "path", "compiling", "speed", "difference/a")
+    return {"peers": table(head, products), "peers-fibre": table(fibres, paths)}
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument(
-        "--quick", action="store_true", help="N = 10 and 100, fewer calls, no SoftMobility"
-    )
-    parser.add_argument(
-        "--json", action="store_true", help="print one JSON object as the last line"
-    )
-    parser.add_argument(
+    program = Program(__doc__, "N = 10 and 100, fewer calls, no SoftMobility")
+    program.parser.add_argument(
         "--environments",
         type=Path,
         default=Path(tempfile.gettempdir()) / "jaxbeads-peers",
         metavar="FOLDER",
         help="where the other packages are installed, and found by the next run (default: %(default)s)",
     )
-    arguments = parser.parse_args()
+    arguments = program.arguments()
     folder = arguments.environments.resolve()
     python = environment(folder, "pygrpy")
     results: dict[str, Any] = {"mobility": {}}
@@ -289,8 +305,7 @@ def main() -> None:
             slip = f"slip at contacts over surface speed {theirs['slip']:.2g}"
             print(f"SoftMobility, {kind}: {slip}")
         print(MODELS)
-    if arguments.json:
-        print(json.dumps(results))
+    program.end(results)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Time, memory, iterations and error of one instant against the number of beads, up to 10^4.
 
-    python benchmarks/scaling.py [--quick] [--json]
+    python benchmarks/scaling.py [--quick] [--json] [--save]
 
 Settling Gears fibres in space (weight, bending, RPY with rotation), bent to an S. Without dense matrices
 (`RPY(dense=False)`): one product of the mobility with forces and torques (6N numbers), an evaluation
@@ -15,7 +15,6 @@ length, whose difference is the error in time. Exponents are slopes of log time 
 beads on.
 """
 
-import argparse
 import json
 import resource
 import statistics
@@ -26,6 +25,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from record import Program, duration, number, order, table
 
 import jaxbeads as jb
 from jaxbeads import dynamics, saddle, tensors
@@ -184,23 +184,42 @@ def line(label: str, row: dict[str, float]) -> None:
     print(f"{label:<10}" + "".join(cells), flush=True)
 
 
+def tables(figures: dict[str, Any]) -> dict[str, list[str]]:
+    head = (
+        "beads",
+        "product of M, 6N numbers",
+        "evaluation",
+        "dense",
+        "value and gradient",
+        "iterations",
+        "error",
+        "residual",
+        "error of the product",
+        "memory of the gradient",
+    )
+    rows = []
+    for name, row in figures["rows"].items():
+        times = (row[c] * 1e-3 if c in row else None for c in COLUMNS[:-1])
+        errors = (row.get(c) for c in ERRORS[:-1])
+        memory = f"{number(row['memory_mib'])} MiB" if "memory_mib" in row else "-"
+        cells = [*map(duration, times), str(row["iterations"]), *map(order, errors), memory]
+        label = f"{figures['fibres']} fibres of 100" if name == "many" else name
+        rows.append([label, *cells])
+    return {"large-scenes": table(head, rows)}
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument(
-        "--quick", action="store_true", help="fewer sizes, no gradient at 10^4, no run"
-    )
-    parser.add_argument(
-        "--json", action="store_true", help="print one JSON object as the last line"
-    )
-    arguments = parser.parse_args()
+    program = Program(__doc__, "fewer sizes, no gradient at 10^4, no run")
+    arguments = program.arguments()
     sizes = (100, 1000, 3000, 10_000) if arguments.quick else (10, 30, 100, 300, 1000, 3000, 10_000)
     print(f"{'beads':<10}" + "".join(f"{c:>14}" for c in (*COLUMNS, *ERRORS)))
     rows = {}
     for beads in sizes:
         rows[str(beads)] = measure((beads,), beads <= 3000 or not arguments.quick)
         line(str(beads), rows[str(beads)])
-    many = measure((100,) * (20 if arguments.quick else 100), False)
-    line("20 x 100" if arguments.quick else "100 x 100", many)
+    fibres = 20 if arguments.quick else 100
+    many = measure((100,) * fibres, False)
+    line(f"{fibres} x 100", many)
     result: dict[str, Any] = {
         "exponent": slope(rows, "evaluation_ms"),
         "product_exponent": slope(rows, "product_ms"),
@@ -215,8 +234,7 @@ def main() -> None:
         f"time of an evaluation like N^{result['exponent']:.2f}, of a product like "
         f"N^{result['product_exponent']:.2f}; most memory {result['memory_gib']:.2f} GiB"
     )
-    if arguments.json:
-        print(json.dumps(result))
+    program.end({**result, "fibres": fibres}, result)
 
 
 if __name__ == "__main__":

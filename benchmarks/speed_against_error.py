@@ -1,6 +1,6 @@
 """Time against error: the linearly implicit solver beside explicit and general implicit ones.
 
-    python benchmarks/speed_against_error.py [--quick] [--json] [--plot FILE]
+    python benchmarks/speed_against_error.py [--quick] [--json] [--save] [--plot FILE]
 
 Each scene is run over the same path with each solver, compiled beforehand; times are medians of three
 runs or more in one process (of one, if it takes longer than 5 s). Settling fibres fall for t = 20 L/V_s
@@ -18,9 +18,7 @@ fibres through their first tumble.
   step_cost: time of one of its steps over that of a step of AB3, which is one velocity evaluation.
 """
 
-import argparse
 import dataclasses
-import json
 import statistics
 import time
 from collections.abc import Callable
@@ -29,6 +27,7 @@ from typing import Any, NamedTuple
 import diffrax
 import jax
 import numpy as np
+from record import Program, duration, number, order, table
 
 import jaxbeads as jb
 from jaxbeads import scenes
@@ -257,13 +256,59 @@ def draw(results: dict[str, list[Row]], file: str) -> None:
     figure.savefig(file, dpi=130)
 
 
+def tables(figures: dict[str, Any]) -> dict[str, list[str]]:
+    head = (
+        "scene",
+        "AB3 at (39)",
+        "at its limit",
+        "Tsit5",
+        "Kvaerno5",
+        "Rosenbrock, its error",
+        "steps",
+        "AB3/Rosenbrock, and at the limit",
+    )
+    lines = []
+    for name, rows in figures["rows"].items():
+        paper, limit = (row for row in rows if row["solver"].startswith("AB3"))
+        found = figures["figures"][name]
+
+        def best(solver: str, rows: list[dict[str, Any]] = rows) -> dict[str, Any]:
+            good = (r for r in rows if r["solver"].startswith(solver) and r["error"] is not None)
+            return next((r for r in good if r["error"] <= TARGET), {"wall_s": None, "steps": None})
+
+        own = best("Rosenbrock")
+        lines.append(
+            [
+                name,
+                *(
+                    duration(r["wall_s"]) + r"\*" * r["solver"].endswith("*")
+                    for r in (paper, limit)
+                ),
+                *(duration(best(solver)["wall_s"]) for solver in ("Tsit5", "Kvaerno5")),
+                f"{duration(own['wall_s'])}, {order(found['error'])}",
+                str(own["steps"]),
+                f"{number(found['ratio'])}, {number(found['ratio_limit'])}",
+            ]
+        )
+    return {"speed-against-error": table(head, lines)}
+
+
+def values(figures: dict[str, Any]) -> dict[str, str]:
+    """What the pages say: but for the soft fibre, how much faster; what a step costs."""
+    found = figures["figures"]
+    ratios = [row["ratio"] for name, row in found.items() if name != "settling-34-10000"]
+    costs = [row["step_cost"] for row in found.values()]
+    return {
+        "speed-up": f"{number(min(ratios))} to {number(max(ratios))}",
+        "step-cost": f"{number(min(costs))} to {number(max(costs))}",
+    }
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="three scenes, in under 3 minutes")
-    parser.add_argument("--json", action="store_true", help="one JSON object as the last line")
-    parser.add_argument("--plot", metavar="FILE", help="write a work-precision plot")
-    parser.add_argument("--only", metavar="SCENE", help="one scene")
-    arguments = parser.parse_args()
+    program = Program(__doc__, "three scenes, in under 3 minutes")
+    program.parser.add_argument("--plot", metavar="FILE", help="write a work-precision plot")
+    program.parser.add_argument("--only", metavar="SCENE", help="one scene")
+    arguments = program.arguments()
     chosen = QUICK if arguments.quick else ALL
     if arguments.only:
         chosen = {arguments.only: ALL[arguments.only]}
@@ -299,8 +344,8 @@ def main() -> None:
         )
     if arguments.plot:
         draw(results, arguments.plot)
-    if arguments.json:
-        print(json.dumps(figures))
+    kept = {name: [row._asdict() for row in rows] for name, rows in results.items()}
+    program.end({"figures": figures, "rows": kept}, figures)
 
 
 if __name__ == "__main__":

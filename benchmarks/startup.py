@@ -1,6 +1,6 @@
 """Seconds from nothing to first results: import, programs, and the shell, each in a new process.
 
-    python benchmarks/startup.py [--quick] [--json]
+    python benchmarks/startup.py [--quick] [--json] [--save]
 
 `import`, and the settling fibre (N = 34, B = 1000) for 1000 AB3 steps, compilation included: without a
 cache of compiled programs (`cold`), and with `jaxbeads.enable_cache` and a folder that an earlier
@@ -8,16 +8,18 @@ process filled (`cached`). Then what JAX needs to make a program (to trace, to l
 Gears fibre of 34 beads with weight and bending, in the plane and in space: one evaluation, AB3, the
 default `rollout`, and gradients of a sum over its last state by all numbers of scene and start
 (`.equal`: ten equal steps of `Rosenbrock`). Last `python -m jaxbeads settling` to its numbers, without
-compiled programs and again with those of the first run. Medians of three processes (`--quick`: one).
+compiled programs and again with those of the first run. Medians of three processes (`--quick`: one, and
+of the programs the default `rollout` and its gradient alone).
 """
 
-import argparse
-import json
 import os
 import statistics
 import subprocess
 import sys
 import tempfile
+from typing import Any
+
+from record import Program, duration, table
 
 IMPORT = "import time; t = time.perf_counter(); import jaxbeads; print(time.perf_counter() - t)"
 FIRST = """
@@ -63,6 +65,7 @@ jax.jit(program).trace(scene, state).lower().compile()
 print(time.perf_counter() - start)
 """
 PROGRAMS = ("evaluation", "rollout.AB3", "rollout", "gradient.AB3", "gradient.equal", "gradient")
+QUICK = ("rollout", "gradient")
 SHELL = """
 import subprocess, sys, time; t = time.perf_counter()
 words = [sys.executable, "-m", "jaxbeads", "settling", *sys.argv[1:]]
@@ -86,12 +89,43 @@ def seconds(program: str, rounds: int, *arguments: str, **environment: str) -> f
     return statistics.median(float(run.stdout) for run in runs)
 
 
+def tables(figures: dict[str, Any]) -> dict[str, list[str]]:
+    first = [
+        ["`import jaxbeads`", duration(figures["import_s"]), ""],
+        [
+            "import, compile and 1000 AB3 steps of the settling fibre",
+            duration(figures["cold_s"]),
+            duration(figures["cached_s"]),
+        ],
+        [
+            "`python -m jaxbeads settling`",
+            duration(figures["shell"]),
+            duration(figures["shell_again"]),
+        ],
+    ]
+    names = {
+        "evaluation": "one evaluation",
+        "rollout.AB3": "a run by AB3",
+        "rollout": "a run by the default solver",
+        "gradient.AB3": "gradient of a run by AB3",
+        "gradient.equal": "gradient of ten equal steps of `Rosenbrock`",
+        "gradient": "gradient of a run by the default solver",
+    }
+    programs = (
+        [text, *(duration(figures[f"{where}.{name}"]) for where in ("plane", "space"))]
+        for name, text in names.items()
+        if f"plane.{name}" in figures
+    )
+    return {
+        "start-up": table(("", "without a cache", "programs of an earlier process"), first),
+        "programs": table(("N = 34", "plane", "space"), programs),
+    }
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="one process each")
-    parser.add_argument("--json", action="store_true", help="one JSON object as the last line")
-    arguments = parser.parse_args()
-    rounds, results = 1 if arguments.quick else 3, {}
+    asked = Program(__doc__, "one process each, fewer programs")
+    quick, results = asked.arguments().quick, {}
+    rounds = 1 if quick else 3
 
     def row(name: str, value: float) -> None:
         results[name] = value
@@ -103,14 +137,13 @@ def main() -> None:
         seconds(FIRST, 1, folder)
         row("cached_s", seconds(FIRST, rounds, folder))
     for dim, where in ((2, "plane"), (3, "space")):
-        for program in PROGRAMS:
+        for program in QUICK if quick else PROGRAMS:
             row(f"{where}.{program}", seconds(PROGRAM, rounds, program, str(dim)))
     row("shell", seconds(SHELL, rounds, "--no-cache"))
     with tempfile.TemporaryDirectory() as folder:
         seconds(SHELL, 1, XDG_CACHE_HOME=folder)
         row("shell_again", seconds(SHELL, rounds, XDG_CACHE_HOME=folder))
-    if arguments.json:
-        print(json.dumps(results))
+    asked.end(results)
 
 
 if __name__ == "__main__":

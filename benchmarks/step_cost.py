@@ -1,6 +1,6 @@
 """Time of one velocity evaluation against LAPACK's Cholesky factor + solve of the same matrix.
 
-    python benchmarks/step_cost.py [--quick] [--json]
+    python benchmarks/step_cost.py [--quick] [--json] [--save]
 
 The scene is a settling Gears fibre (weight, bending, RPY with rotation), slightly bent, in an unbounded
 fluid; `wall`: the same fibre, its lowest bead 1.5 a above a no-slip wall, and `over_free` its time over
@@ -12,18 +12,18 @@ are reported. The error is that of the velocities against a dense elimination of
 in NumPy; memory is what the compiled evaluation needs beside its arguments.
 """
 
-import argparse
-import json
 import statistics
 import time
 from functools import partial
 from operator import truediv
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.linalg.lapack as lapack
 from jax import lax
+from record import Program, duration, number, order, table
 
 import jaxbeads as jb
 from jaxbeads import dynamics
@@ -133,13 +133,35 @@ def measure(beads: int, dim: int, rounds: int, wall: bool = False) -> dict[str, 
     } | ({"over_free": statistics.median(map(truediv, ours, frees))} if wall else {})
 
 
+def tables(figures: dict[str, Any]) -> dict[str, list[str]]:
+    def cells(name: str, row: dict[str, float], against: str) -> list[str]:
+        return [
+            name.replace("-wall", "").replace("-", ", N = "),
+            duration(1e-6 * row["evaluation_us"]),
+            number(row[against]),
+            order(row["error"]),
+            f"{number(row['memory_mib'])} MiB",
+            duration(row["compile_s"]),
+        ]
+
+    free = {name: row for name, row in figures.items() if "over_free" not in row}
+    walls = {name: row for name, row in figures.items() if "over_free" in row}
+    rest = ("error", "memory", "compiling")
+    return {
+        "evaluation": table(
+            ("", "evaluation", "over LAPACK", *rest),
+            (cells(n, r, "ratio") for n, r in free.items()),
+        ),
+        "evaluation-wall": table(
+            ("", "evaluation", "over that without a wall", *rest),
+            (cells(n, r, "over_free") for n, r in walls.items()),
+        ),
+    }
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="N = 34 and 100 only, fewer rounds")
-    parser.add_argument(
-        "--json", action="store_true", help="print one JSON object as the last line"
-    )
-    arguments = parser.parse_args()
+    program = Program(__doc__, "N = 34 and 100 only, fewer rounds")
+    arguments = program.arguments()
     sizes, rounds = ((34, 100), 11) if arguments.quick else ((15, 34, 100, 300), 21)
     cases = [
         (f"{kind}-{beads}{'-wall' * wall}", dim, beads, wall)
@@ -162,8 +184,7 @@ def main() -> None:
         row = results[name] = measure(beads, dim, rounds, wall)
         found = "".join(f"{row[c]:16.3g}" if c in row else "" for c in columns)
         print(f"{name:<18}{found}", flush=True)
-    if arguments.json:
-        print(json.dumps(results))
+    program.end(results)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Throughput of a sweep on one device, on two, and in two processes.
 
-    python benchmarks/sweep.py [--quick] [--json]
+    python benchmarks/sweep.py [--quick] [--json] [--save]
 
 Settling Gears fibres (N = 20) of different stiffness take the same number of AB3 steps each. Every row
 is a sweep of its own in new processes; on a CPU a device is a share of its cores. Members per second
@@ -10,7 +10,6 @@ compiling are left out. `bitwise` says whether the table is that of one device, 
 
 import argparse
 import hashlib
-import json
 import os
 import socket
 import statistics
@@ -18,6 +17,9 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
+
+from record import Program, number, table
 
 CHUNK = 16
 
@@ -84,12 +86,24 @@ def run(devices: int, processes: int, steps: int, members: int) -> tuple[float, 
         return rate, texts[0].splitlines()[-1]
 
 
+def tables(figures: dict[str, Any]) -> dict[str, list[str]]:
+    head = (f"{figures['members']} members", "members per second", "ratio", "same bits")
+    rows = (
+        [
+            name,
+            number(row["per_second"], 3),
+            number(row["ratio"], 3),
+            ["no", "yes"][row["bitwise"]],
+        ]
+        for name, row in figures["rows"].items()
+    )
+    return {"devices": table(head, rows)}
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="fewer members and rounds")
-    parser.add_argument("--json", action="store_true", help="one JSON object as the last line")
-    parser.add_argument("--worker", nargs=6, help=argparse.SUPPRESS)
-    arguments = parser.parse_args()
+    program = Program(__doc__, "fewer members and rounds")
+    program.parser.add_argument("--worker", nargs=6, help=argparse.SUPPRESS)
+    arguments = program.arguments()
     if arguments.worker:
         devices, folder, steps, members, meeting, number = arguments.worker
         worker(int(devices), folder, int(steps), int(members), meeting, int(number))
@@ -104,18 +118,17 @@ def main() -> None:
             rates[name].append(rate)
     one = statistics.median(rates["1 device"])
     print(f"{'':14}{'members/s':>12}{'ratio':>8}  bitwise")
-    ratios = {}
+    rows: dict[str, dict[str, Any]] = {}
     for name in layouts:
-        rate = statistics.median(rates[name])
-        ratios[name] = rate / one
-        print(f"{name:14}{rate:12.1f}{ratios[name]:8.2f}  {bits[name] == bits['1 device']}")
-    if arguments.json:
-        result = {
-            "throughput_ratio": ratios["2 devices"],
-            "processes_ratio": ratios["2 processes"],
-            "bitwise": len(set(bits.values())) == 1,
-        }
-        print(json.dumps(result))
+        rate, same = statistics.median(rates[name]), bits[name] == bits["1 device"]
+        rows[name] = row = {"per_second": rate, "ratio": rate / one, "bitwise": same}
+        print(f"{name:14}{rate:12.1f}{row['ratio']:8.2f}  {same}")
+    result = {
+        "throughput_ratio": rows["2 devices"]["ratio"],
+        "processes_ratio": rows["2 processes"]["ratio"],
+        "bitwise": len(set(bits.values())) == 1,
+    }
+    program.end({"members": members, "steps": steps, "rows": rows}, result)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,9 @@
 """What people read: lengths, links, pictures, recipes, and that what is named is there."""
 
+import json
 import re
+import subprocess
+import sys
 from itertools import pairwise
 from pathlib import Path
 
@@ -102,6 +105,42 @@ def test_every_benchmark_has_its_command():
     programs = [p for p in programs if not p.stem.endswith("_worker")]
     assert len(programs) >= 9
     assert not [p.name for p in programs if f"python benchmarks/{p.name}" not in page]
+
+
+def test_tables_are_those_of_the_files():
+    # In a process of its own: programs choose devices and precision.
+    command = [sys.executable, ROOT / "benchmarks" / "tables.py", "--check"]
+    run = subprocess.run(command, capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+
+
+def test_figures_say_where_they_are_from():
+    files = sorted((ROOT / "benchmarks" / "results").iterdir())
+    assert files
+    for file in files:
+        kept = json.loads(file.read_text())
+        assert f"python benchmarks/{file.stem}.py" in kept["command"]
+        assert kept["commit"] and kept["date"] and kept["machine"] and kept["figures"]
+        assert {"Python", "jax", "jaxlib"} <= set(kept["versions"])
+        assert not re.search(r"/(home|tmp|root|Users)/", file.read_text()), f"{file.name}: a folder"
+
+
+def test_words_for_tables(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    import record
+
+    assert [record.number(x) for x in (0.5, 1.96, 197.0, 54123.0)] == [
+        "0.50",
+        "2.0",
+        "200",
+        "54 000",
+    ]
+    assert [record.duration(x) for x in (0.0036, 5e-5, 61.2)] == ["3.6 ms", "50 us", "61 s"]
+    assert [record.order(x) for x in (3.2e-16, 0.0, 0.9, None)] == ["3e-16", "0", "0.9", "-"]
+    assert record.table(["a", "b"], [["1", "2"]]) == ["| a | b |", "| --- | --- |", "| 1 | 2 |"]
+    monkeypatch.delenv("XLA_FLAGS", raising=False)
+    words = ["/home/me/benchmarks/x.py", "--save", "--quick", "--plot=/home/me/a.png", "/tmp/me/b"]
+    assert record.command(words) == "python benchmarks/x.py --quick --plot=a.png b"
 
 
 def test_recipes():
