@@ -1,6 +1,7 @@
 """Pictures: what is drawn, where and in which units."""
 
 import re
+import shutil
 import subprocess
 import sys
 from functools import cache
@@ -420,6 +421,36 @@ def test_a_page_holds_all_that_it_needs(case, tmp_path):
         plot.html(solution, chain, tmp_path / "page.htm")
     with pytest.raises(ValueError, match="`path` must be a file that can be written"):
         plot.html(solution, chain, tmp_path / "no" / "page.html")
+
+
+@pytest.mark.slow
+def test_a_browser_shows_the_page(case, tmp_path):
+    # Chromium draws it by its own software, without a display and a network.
+    pytest.importorskip("k3d")
+    names = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+    browser = next(filter(None, map(shutil.which, names)), None)
+    if browser is None:
+        pytest.skip("there is no Chromium here")
+    solution, chain = case
+    page = plot.html(solution, chain, tmp_path / "page.html", frames=2)
+    colours = np.unique(bead_colours(chain), axis=0)
+    for milliseconds in (5000, 20_000, 60_000):  # a busy machine draws late
+        shares = drawn(browser, page, milliseconds, colours)
+        if min(shares) > 0.005:
+            break
+    assert len(shares) == len(chain.fibres) and min(shares) > 0.005, shares
+
+
+def drawn(browser, page, milliseconds, colours):
+    """Shares of a page's picture that have the colours, light or dark."""
+    picture = page.with_suffix(".png")
+    options = "--headless=new --no-sandbox --use-angle=swiftshader --enable-unsafe-swiftshader"
+    command = [browser, *options.split(), f"--user-data-dir={page.parent / 'user'}"]
+    command += ["--window-size=600,500", f"--timeout={milliseconds}", f"--screenshot={picture}"]
+    subprocess.run([*command, page.as_uri()], capture_output=True, timeout=180, check=True)
+    seen = np.asarray(Image.open(picture).convert("RGB"), float)
+    seen /= np.linalg.norm(seen, axis=2, keepdims=True) + 1e-9
+    return [np.mean(seen @ (c / np.linalg.norm(c)) > 0.99) for c in colours]
 
 
 def test_a_page_without_what_makes_it(monkeypatch, tmp_path):
