@@ -66,7 +66,8 @@ def _size(load: Load) -> float:
 
 def guilty_term(t: float, state: State, scene: Scene, derivatives: bool = False) -> Fault:
     """The term that fails at this state, or whose load is largest, and how it fails; `derivatives`:
-    whether they are needed."""
+    whether they are needed.
+    """
     if (fault := not_finite(t, state, scene)) is not None:
         return fault
     if (how := redundancy(t, state, scene)) is not None:
@@ -105,7 +106,8 @@ def explain(
     derivatives: bool = False,
 ) -> Cause:
     """The cause from the last good state, at time t, and what the step from there made of it (or, if
-    there is no such state, `what` happened); `derivatives`: whether the step needed them."""
+    there is no such state, `what` happened); `derivatives`: whether the step needed them.
+    """
     what = what or f"the motion is not finite{in_single(good.position.dtype)}"
     term, how, bead, derivative = guilty_term(t, good, scene, derivatives)
     if derivative:
@@ -185,7 +187,8 @@ def locate(
     bond_tolerance: float,
 ) -> Cause:
     """Why the run broke down in the interval from t0 (`carry`) to t1 (`after`). Equal steps are taken
-    again, one by one, to see where."""
+    again, one by one, to see where.
+    """
     if not isinstance(stepper, FixedSteps):
         if int(after.code) != Outcome.FINE:
             return _given_up(stepper, scene, after, t0, t1)

@@ -71,7 +71,8 @@ class Chain(eqx.Module):
     @property
     def last_beads(self) -> tuple[int, ...]:
         """Index of the last bead of each fibre, counted from the last of all as -1 (and so that of the
-        bond before it)."""
+        bond before it).
+        """
         return tuple(int(n) - self.beads - 1 for n in np.cumsum(self.fibres))
 
     @property
@@ -225,7 +226,8 @@ def place(
     weights: Float[Array, "fibres beads"] | None = None,
 ) -> Float[Array, "beads dim"]:
     """Positions from the vectors between neighbours (those between fibres are not used) and one
-    point for each fibre, without checks: its centre, or the weighted mean of its beads."""
+    point for each fibre, without checks: its centre, or the weighted mean of its beads.
+    """
     step = bonds * chain.bond_mask[:, None]
     position = jnp.pad(jnp.cumsum(step, axis=0), ((1, 0), (0, 0)))
     present = chain.centres(position) if weights is None else weights @ position

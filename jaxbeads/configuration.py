@@ -55,7 +55,8 @@ class Configuration(eqx.Module):
     @property
     def scaled(self) -> "Scaled":
         """Lengths in units of the radius, or of the largest one: on that no result depends, nor does a
-        derivative."""
+        derivative.
+        """
         position, radius = self.position, self.radius
         if radius.ndim == 0:
             return Scaled(radius, position / radius, None, self.domain)

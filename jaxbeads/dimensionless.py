@@ -9,7 +9,8 @@ from jaxtyping import Array
 
 def cox_aspect_ratio(aspect_ratio: Any) -> Array:
     """Aspect ratio of the spheroid that rotates like a fibre of length over diameter r_p,
-    r_e = 1.24 r_p / sqrt(ln r_p), eq. (52) (Cox, J. Fluid Mech. 45 (1971) 625)."""
+    r_e = 1.24 r_p / sqrt(ln r_p), eq. (52) (Cox, J. Fluid Mech. 45 (1971) 625).
+    """
     return 1.24 * aspect_ratio / jnp.sqrt(jnp.log(aspect_ratio))
 
 
@@ -36,7 +37,8 @@ def bending_ratio(
 ) -> Array:
     """BR = E (ln 2 r_e - 1.5) / (2 mu shear_rate r_p^4), eq. (54), with K_b = pi a^4 E / 4, r_p the
     aspect ratio L/(2a) (the number of touching beads) and r_e after Cox, eq. (52). Small values:
-    flexible."""
+    flexible.
+    """
     return rigidity * _bending_ratio_scale(radius, aspect_ratio) / (viscosity * shear_rate)
 
 
@@ -55,7 +57,8 @@ def elasto_gravitational_number(weight: Any, length: Any, rigidity: Any) -> Arra
 def sperm_number(length: Any, angular_frequency: Any, friction: Any, rigidity: Any) -> Array:
     """Sp = L (zeta (gamma/L) / K_b)^(1/4), eq. (58), with gamma [force time/length] the normal friction
     coefficient of the rigid straight fibre (viscosity included) and zeta the angular frequency. Large
-    values: flexible."""
+    values: flexible.
+    """
     drag = jnp.asarray(friction) / length
     return length * (angular_frequency * drag / rigidity) ** 0.25
 
@@ -69,7 +72,8 @@ def rigidity_from_sperm_number(
 
 def largest_joint_curvature(radius: Any, gap: Any) -> Array:
     """kappa_max = sqrt(1 - (a/(a + eps_g))^2) / a: curvature up to which neighbours of the Joint
-    Model do not overlap, eq. (4) [1/length]."""
+    Model do not overlap, eq. (4) [1/length].
+    """
     return jnp.sqrt(1 - (radius / (radius + jnp.asarray(gap))) ** 2) / radius
 
 

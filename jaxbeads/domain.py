@@ -49,7 +49,8 @@ class AbstractDomain(eqx.Module):
         self, position: Float[Array, "beads dim"], radius: Float[Array, "*beads"]
     ) -> Float[Array, " beads"] | None:
         """Distance of each bead's surface from the boundary, negative outside [length]; `None` without a
-        boundary."""
+        boundary.
+        """
         return None
 
 
@@ -111,7 +112,8 @@ def _refuse_flow(
     plane: AbstractHalfSpace, name: str, slips: Callable[[Array, Array], Array]
 ) -> None:
     """Refuse a flow of which something does not vanish at some points of a plane, for some time, as it
-    does not one unit of length above them."""
+    does not one unit of length above them.
+    """
     if not known((plane.point, plane.normal)):
         return
     normal = plane.direction
@@ -131,7 +133,8 @@ def _refuse_flow(
 
 class NoSlipWall(AbstractHalfSpace):
     """A plane to which the fluid sticks, as of glass: `NoSlipWall([0, 0], [0, 1])` is the fluid above
-    y = 0. Ambient flows must vanish at it."""
+    y = 0. Ambient flows must vanish at it.
+    """
 
     def check_flow(self, name: str, velocity: Callable[[Array, Array], Array], dim: int) -> None:
         """Refuse a flow that does not vanish at the wall."""
@@ -140,7 +143,8 @@ class NoSlipWall(AbstractHalfSpace):
 
 class FreeSurface(AbstractHalfSpace):
     """A flat surface without friction, as of water under air, which nothing bends. Ambient flows must
-    neither cross nor shear it."""
+    neither cross nor shear it.
+    """
 
     def check_flow(self, name: str, velocity: Callable[[Array, Array], Array], dim: int) -> None:
         """Refuse a flow with a velocity across the surface, or a shear stress at it."""

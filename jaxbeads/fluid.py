@@ -29,7 +29,8 @@ from .state import Load, Motion, State
 
 class FlowField(eqx.Module):
     """Velocity of the fluid at one instant, as a function of points (see `flow_field`). A pytree: it
-    goes through `jit`, `vmap` and `grad`."""
+    goes through `jit`, `vmap` and `grad`.
+    """
 
     t: Float[Array, ""]
     flow: AbstractFlow | None
@@ -46,7 +47,8 @@ class FlowField(eqx.Module):
 
     def __call__(self, points: Any) -> Array:
         """Velocity [length/time] at points [length], an array of any shape whose last axis has the
-        components: those of the scene, or three. **Raises** `ValueError` for another number."""
+        components: those of the scene, or three. **Raises** `ValueError` for another number.
+        """
         points = float_array(points).astype(self.configuration.position.dtype)
         if points.ndim < 1 or points.shape[-1] not in (self.dim, 3):
             wanted = "2 or 3" if self.dim == 2 else "3"
@@ -85,7 +87,8 @@ def _mean(x: Float[Array, "beads 3"]) -> Float[Array, "1 3"]:
 
 def _ambient(field: FlowField, points: Float[Array, "points 3"]) -> Float[Array, "points 3"]:
     """The undisturbed fluid. A planar flow is the same at any height z above its plane; if it gathers
-    there, the fluid leaves along the normal at -z div u."""
+    there, the fluid leaves along the normal at -z div u.
+    """
     flow, dim = field.flow, field.dim
     if flow is None:
         return jnp.zeros_like(points)
@@ -192,7 +195,8 @@ def _solved(
 
 class AverageFlowField(eqx.Module):
     """Mean over a run of the velocity of the fluid, as a function of points (see
-    `average_flow_field`)."""
+    `average_flow_field`).
+    """
 
     solution: Solution
     scene: Scene

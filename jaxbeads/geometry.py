@@ -55,7 +55,8 @@ def turned(
     vector: Float[Array, "*batch 3"], start: Float[Array, "*batch 3"], end: Float[Array, "*batch 3"]
 ) -> Float[Array, "*batch 3"]:
     """Vectors turned by the smallest rotation from the unit vector `start` to the unit vector `end`
-    (which is undefined, and here none, where they are opposite)."""
+    (which is undefined, and here none, where they are opposite).
+    """
     axis, cosine = jnp.cross(start, end), jnp.sum(start * end, axis=-1, keepdims=True)
     once = jnp.cross(axis, vector)
     opposite = 1 + cosine < 1e-14
@@ -65,7 +66,8 @@ def turned(
 def best_rotation(first: Any, last: Any, numpy: Any = jnp) -> Any:
     """The rotation R, never a reflection, by which the rows of the first set, times R, lie best on those
     of the last (Kabsch). **Arguments**: vectors `(..., rows, dim)`, twice; `numpy`: the module of arrays
-    that computes it. **Returns** `(..., dim, dim)`."""
+    that computes it. **Returns** `(..., dim, dim)`.
+    """
     u, _, v = numpy.linalg.svd(numpy.swapaxes(first, -1, -2) @ last)
     sign = numpy.linalg.det(u @ v)[..., None, None]
     last_column = numpy.arange(u.shape[-1]) == u.shape[-1] - 1
@@ -103,7 +105,8 @@ def smallest_gap(
     position: np.ndarray, radii: np.ndarray, domain: AbstractDomain = _UNBOUNDED
 ) -> tuple[float, int, int]:
     """Smallest distance of the surfaces of two beads (negative if they overlap), and which they are. On
-    the host, some beads at a time; at least two beads."""
+    the host, some beads at a time; at least two beads.
+    """
     best, beads = (np.inf, 0, 1), len(position)
     rows = max(1, 2**20 // beads)
     for start in range(0, beads, rows):

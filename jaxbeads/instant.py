@@ -69,6 +69,10 @@ def ambient_motion(t: Time, state: State, scene: Scene) -> Motion | None:
 
 
 def free_motion(t: Time, state: State, scene: Scene, operator: Product) -> Motion:
+    """Velocities and spins of the beads as if nothing held them, M F + V_inf + C : E.
+
+    **Arguments**: time, state and scene; M at that state, as `scene.operator(state)`.
+    """
     load, ambient = applied_load(t, state, scene), ambient_motion(t, state, scene)
     if load.force is None and load.torque is None:
         return zero_motion(state, scene.rotational) if ambient is None else ambient
@@ -85,7 +89,8 @@ def evaluation(t: Time, state: State, scene: Scene, known: "Solved | None") -> E
 
 class Solved(NamedTuple):
     """One instant, and what solves for its multipliers. Where it is known already, the derivatives of
-    `rate` need nothing else of the saddle-point system."""
+    `rate` need nothing else of the saddle-point system.
+    """
 
     evaluation: Evaluation
     solver: Factorised | Iterations | None
@@ -114,7 +119,8 @@ def solved(t: Time, state: State, scene: Scene) -> Solved:
 def _instant_jvp(primals: Any, tangents: Any) -> tuple[Solved, Solved]:
     """With multipliers and motion held, dQdot = d[M (F + J^T lambda) + V_inf + C:E] + M J^T dlambda and
     J dQdot = -(dJ Qdot + dB): derivatives in either mode take the factor that there is. Second
-    derivatives take this rule again."""
+    derivatives take this rule again.
+    """
     t, state, scene, known = primals
     found = _instant(t, state, scene, known)
     if known is None:
@@ -136,7 +142,8 @@ _At = tuple[Time, State, Scene, Evaluation]
 
 def _held(t: Time, state: State, scene: Scene, evaluation: Evaluation) -> tuple[Motion, Array]:
     """M (F + J^T lambda) + V_inf + C:E and J Qdot + B for any Qdot and lambda, in a form to be
-    differentiated: at the solution these are Qdot and 0."""
+    differentiated: at the solution these are Qdot and 0.
+    """
     moved, multipliers = evaluation
     load = applied_load(t, state, scene)
     if not scene.constraints:
@@ -176,7 +183,8 @@ def derivative(
     along: tuple[Array, State],
 ) -> Motion:
     """Derivative of the motion of an instant that is `found`, along a time and a change of the state, in
-    a form to be differentiated once more."""
+    a form to be differentiated once more.
+    """
     return _derivative((t, state, scene, found), solver, along).motion
 
 
@@ -191,7 +199,8 @@ def _derivative(
 @with_all_digits
 def _derivative_jvp(primals: Any, tangents: Any) -> tuple[Evaluation, Evaluation]:
     """With K z = b for the saddle-point system, K z_uv = -(second derivative of K z - b along (x_u, z_u)
-    and (x_v, z_v)): no solution is differentiated."""
+    and (x_v, z_v)): no solution is differentiated.
+    """
     at, solver, along = primals
     found = _derivative(*primals)
 
@@ -218,7 +227,8 @@ def _pushed(t: Time, state: State, scene: Scene, load: Load) -> Motion:
 
 def rate(t: Time, state: State, scene: Scene, known: Solved | None = None) -> State:
     """Time derivative of the state: the right-hand side that the solvers integrate, eqs (38), (48).
-    Derivatives of an instant that is `known` take it as it is."""
+    Derivatives of an instant that is `known` take it as it is.
+    """
     moved = evaluation(jnp.asarray(t), state, scene, known).motion
     return moving(state, moved, scene.chain, scene.own_rate(t, state))
 

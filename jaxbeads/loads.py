@@ -27,7 +27,8 @@ from .state import Load, Motion, State, add_loads, spins, zero_motion
 
 def load_on_fluid(t: Time, state: State, scene: Scene) -> Load:
     """Forces [force] and torques [force length] that each bead exerts on the fluid: all those of the
-    scene's forces and constraints, which it hands on. M of it, V_inf and C:E are the motion."""
+    scene's forces and constraints, which it hands on. M of it, V_inf and C:E are the motion.
+    """
     return handed_on(t, state, scene, evaluate(t, state, scene) if scene.constraints else None)
 
 
@@ -41,7 +42,8 @@ def handed_on(t: Time, state: State, scene: Scene, found: Evaluation | None) -> 
 
 def drag(t: Time, state: State, scene: Scene) -> Load:
     """Hydrodynamic force [force] and torque [force length] of the fluid on each bead, minus that of the
-    bead on the fluid."""
+    bead on the fluid.
+    """
     return jax.tree.map(jnp.negative, load_on_fluid(t, state, scene))
 
 
@@ -73,7 +75,8 @@ def net_load(
     load: Load, state: State, about: Any
 ) -> tuple[Float[Array, " dim"], Float[Array, " spins"]]:
     """Sum of the forces [force], `(dim,)`, and of all torques about a point [force length], `(1,)` in
-    the plane and `(3,)` in space."""
+    the plane and `(3,)` in space.
+    """
     dim, dtype = state.position.shape[1], state.position.dtype
     force, torque = jnp.zeros(dim, dtype), jnp.zeros(spins(dim), dtype)
     if load.force is not None:
@@ -170,20 +173,23 @@ def _up_to_bond(x: Float[Array, "beads n"], chain: Chain) -> Float[Array, "bonds
 
 def tension(t: Time, state: State, scene: Scene) -> Float[Array, " bonds"]:
     """Tension in each bond, n . e [force], positive where it pulls its beads together; 0 from a fibre
-    to the next. See `stress_resultants`."""
+    to the next. See `stress_resultants`.
+    """
     return jnp.sum(stress_resultants(t, state, scene)[0] * tangents(state.position), axis=1)
 
 
 def shear_force(t: Time, state: State, scene: Scene) -> Float[Array, "bonds dim"]:
     """Shear force in each bond, n - (n . e) e [force], `(beads - 1, dim)`: what the part of the fibre
-    beyond it exerts on that before it across the fibre. See `stress_resultants`."""
+    beyond it exerts on that before it across the fibre. See `stress_resultants`.
+    """
     n, e = stress_resultants(t, state, scene)[0], tangents(state.position)
     return n - jnp.sum(n * e, axis=1, keepdims=True) * e
 
 
 def bending_moment(t: Time, state: State, scene: Scene) -> Float[Array, "bonds spins"]:
     """Moment in each bond [force length], `(beads - 1, 1)` in the plane, where that of a fibre bent
-    anticlockwise is positive (K_b kappa), and `(beads - 1, 3)` in space. See `stress_resultants`."""
+    anticlockwise is positive (K_b kappa), and `(beads - 1, 3)` in space. See `stress_resultants`.
+    """
     return stress_resultants(t, state, scene)[1]
 
 

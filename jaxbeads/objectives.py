@@ -41,7 +41,8 @@ def mean_over_time(function: Callable[..., Any], solution: Solution, scene: Scen
     """Mean of `function(t, state, scene)` over the solution's time: an array or a tree of them.
 
     It is compiled once for a function and the shapes of solution and scene: a function that is defined
-    anew for each call is compiled at each call."""
+    anew for each call is compiled at each call.
+    """
     return _mean(function, solution.ts, solution.states, scene)
 
 
@@ -67,7 +68,8 @@ def distance(solution: Solution) -> Float[Array, ""]:
 def swimming_speed(solution: Solution, scene: Scene, frequency: Any) -> Float[Array, ""]:
     """Net speed of the mean of all beads as V/(f L): lengths of the (first) fibre swum in a period.
 
-    **Raises** `ValueError` for a frequency that is not positive."""
+    **Raises** `ValueError` for a frequency that is not positive.
+    """
     positive("frequency", frequency)
     time = solution.ts[-1] - solution.ts[0]
     return distance(solution) / (time * frequency * scene.chain.length[0])
@@ -76,7 +78,8 @@ def swimming_speed(solution: Solution, scene: Scene, frequency: Any) -> Float[Ar
 def mean_power(solution: Solution, scene: Scene) -> Float[Array, ""]:
     """Mean work done on the fluid per time, see `observables.power` [force length/time]. In a quiescent
     fluid it is the dissipation; over whole periods, the work of the active torques (and of what
-    holds or drives the fibre), because elastic energy comes back."""
+    holds or drives the fibre), because elastic energy comes back.
+    """
     return mean_over_time(power, solution, scene)
 
 
@@ -91,7 +94,8 @@ def thrust(solution: Solution, scene: Scene, direction: Any) -> Float[Array, ""]
 
     Forces within chains sum to zero, so this is minus the sum of all constraint forces.
 
-    **Raises** `ValueError` for a direction that is zero or of another dimension."""
+    **Raises** `ValueError` for a direction that is zero or of another dimension.
+    """
     shape("direction", direction, solution.states.position.shape[-1:])
     non_zero("direction", direction)
     along = jnp.asarray(direction, float)
@@ -106,7 +110,8 @@ def _held(t: Array, state: State, scene: Scene) -> Array:
 
 def mean_pumping_rate(solution: Solution, scene: Scene, along: Any) -> Float[Array, ""]:
     """Mean volume of fluid driven along a no-slip wall per time, see `observables.pumping_rate`
-    [length^3/time]."""
+    [length^3/time].
+    """
     rate = jax.tree_util.Partial(_pumped, jnp.asarray(along, float))
     return mean_over_time(rate, solution, scene)
 
@@ -120,7 +125,8 @@ def pumping_efficiency(solution: Solution, scene: Scene, along: Any) -> Float[Ar
     mean power P and its length L. That of a given sequence of shapes depends neither on the viscosity
     nor on the frequency (after Osterman & Vilfan, PNAS 108 (2011) 15727).
 
-    **Raises** `ValueError` for several fibres."""
+    **Raises** `ValueError` for several fibres.
+    """
     if (several := len(scene.chain.fibres)) > 1:
         fail("scene.chain", "be one fibre", f"it has {several}")
     both = jax.tree_util.Partial(_pumped_and_used, jnp.asarray(along, float))

@@ -87,7 +87,8 @@ def minimal_radius_of_curvature(
     position: Float[Array, "*times beads dim"], chain: Chain
 ) -> Float[Array, "*times"]:
     """Smallest radius of curvature along the fibres [length]; infinite when straight, or where no fibre
-    has three beads."""
+    has three beads.
+    """
     largest = jnp.max(jnp.abs(curvature(position, chain)), axis=-1, initial=0.0)
     return jnp.where(largest == 0, jnp.inf, 1 / jnp.where(largest == 0, 1.0, largest))
 
@@ -104,7 +105,8 @@ def end_to_end_distance(
     position: Float[Array, "*times beads dim"], chain: Chain | None = None
 ) -> Float[Array, "*values"]:
     """Distance of the first and the last bead's centres [length]: of each fibre of the `chain`, shape
-    `(*times, fibres)`, or, without one, of all beads taken as one fibre, `times`."""
+    `(*times, fibres)`, or, without one, of all beads taken as one fibre, `times`.
+    """
     return norm(_ends(position, chain))
 
 
@@ -112,7 +114,8 @@ def deflection(
     position: Float[Array, "*times beads dim"], direction: Any
 ) -> Float[Array, "*times"]:
     """Distance of the extreme centres of all beads along `direction` (A of the settling fibre)
-    [length]."""
+    [length].
+    """
     unit = jnp.asarray(direction) / jnp.linalg.norm(jnp.asarray(direction))
     height = position @ unit
     return jnp.max(height, axis=-1) - jnp.min(height, axis=-1)
@@ -122,7 +125,8 @@ def tilt(
     position: Float[Array, "*times beads dim"], direction: Any, chain: Chain | None = None
 ) -> Float[Array, "*values"]:
     """How much further the last bead is along `direction` than the first [length]; `chain` as for
-    `end_to_end_distance`."""
+    `end_to_end_distance`.
+    """
     unit = jnp.asarray(direction) / jnp.linalg.norm(jnp.asarray(direction))
     return _ends(position, chain) @ unit
 
@@ -131,7 +135,8 @@ def orientation(
     position: Float[Array, "*times beads dim"], chain: Chain | None = None
 ) -> Float[Array, "*values"]:
     """Angle of the end-to-end vector in the x-y plane, from x [rad], in (-pi, pi]; `chain` as for
-    `end_to_end_distance`."""
+    `end_to_end_distance`.
+    """
     ends = _ends(position, chain)
     return jnp.arctan2(ends[..., 1], ends[..., 0])
 
@@ -183,7 +188,8 @@ def friction_coefficient(t: Time, state: State, scene: Scene, force: Any) -> Flo
 
 def power(t: Time, state: State, scene: Scene) -> Float[Array, ""]:
     """Work done on the fluid per time by all forces and torques, of the scene's terms and of its
-    constraints: sum of F.v + T.w [force length/time]. In a quiescent fluid it is the dissipation."""
+    constraints: sum of F.v + T.w [force length/time]. In a quiescent fluid it is the dissipation.
+    """
     found = evaluate(t, state, scene)
     moved, load = found.motion, handed_on(t, state, scene, found)
     done = jnp.zeros((), state.position.dtype)
@@ -241,7 +247,8 @@ def swimming_efficiency(speed: Any, mean_power: Any, scene: Scene) -> Float[Arra
     """Lighthill's efficiency: power to tow the straight, rigid fibre at the swimming speed along its
     axis, over the mean power of the stroke, gamma_par V^2 / P.
 
-    **Raises** `ValueError` for several fibres, which have no common axis."""
+    **Raises** `ValueError` for several fibres, which have no common axis.
+    """
     if (several := len(scene.chain.fibres)) > 1:
         fail("scene.chain", "be one fibre", f"it has {several}")
     dim = 2

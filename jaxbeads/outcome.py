@@ -14,6 +14,7 @@ class Outcome(IntEnum):
     sentence: str
 
     def __new__(cls, number: int, word: str, sentence: str) -> "Outcome":
+        """A whole number with its word and its sentence."""
         one = int.__new__(cls, number)
         one._value_, one.word, one.sentence = number, word, sentence
         return one

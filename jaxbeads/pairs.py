@@ -115,7 +115,8 @@ class PairTensor(eqx.Module):
 
     def unit_motions(self, torque: bool) -> Motion:
         """Motions under a unit force (or torque) along each component on each bead: the columns of M,
-        component by component, as a leading axis."""
+        component by component, as a leading axis.
+        """
         linear, angular = (self.tr, self.rr) if torque else (self.tt, self.rt)
         return Motion(_columns(linear), _columns(angular) if self.rr else None)
 

@@ -43,7 +43,8 @@ class PeriodicState(eqx.Module):
     def multipliers(self) -> np.ndarray:
         """Floquet multipliers, by which small disturbances grow in a period, complex, largest first:
         the motion is stable if none is larger than 1. A turn that makes no difference has 1. A host
-        function."""
+        function.
+        """
         values = 1 + np.linalg.eigvals(np.asarray(self.jacobian)).astype(complex)
         return values[np.argsort(-np.abs(values))]
 
@@ -186,7 +187,8 @@ def _rotation(first: _Figure, last: _Figure) -> Array:
 
 def _turned_by(first: _Figure, last: _Figure) -> Array:
     """Turns c_k by which the first figure lies best on the last (where small): last = first + sum of
-    c_k (first turned by W_k)."""
+    c_k (first turned by W_k).
+    """
 
     def rows(figure: _Figure) -> Array:
         points = figure.points - figure.points.mean(axis=0, keepdims=True)
@@ -212,7 +214,8 @@ def _solve(
 
     def system(shape: Shape, y: Array, problem: Problem) -> Pair:
         """The change of the shape in a period; displacement and rotation of the whole, and what is no
-        part of the change of the shape."""
+        part of the change of the shape.
+        """
         state = shape.state(y)
         run = rollout(problem.scene, state, problem.ts, solver=solver)
         after = run.final

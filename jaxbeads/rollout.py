@@ -43,7 +43,8 @@ def solver_for(
     scene: Scene, solver: Solver | None, tolerance: Tolerance | None, substeps: int | None
 ) -> AbstractSolver:
     """The solver that the arguments of `rollout` and `simulate` mean: `tolerance` and `substeps` are
-    shorthands for the options of a solver that has none yet."""
+    shorthands for the options of a solver that has none yet.
+    """
     if isinstance(solver, AbstractSolver):
         for name, value in {"tolerance": tolerance, "substeps": substeps}.items():
             if value is not None:
@@ -238,7 +239,8 @@ def law_errors(
     scene: Scene, stepper: Stepper, ts: Float[Array, " times"], states: State
 ) -> Float[Array, " constraints"]:
     """How far each constraint with a law of places is off it at most, over how far the law leads; 0 for
-    others, and within what the steps' tolerance allows."""
+    others, and within what the steps' tolerance allows.
+    """
     start, length = (ts[0], jax.tree.map(lambda x: x[0], states)), jnp.max(scene.chain.length)
     allowed = 1e-9 * length
     if isinstance(stepper, AdaptiveSteps):
@@ -258,6 +260,5 @@ def diagnostics(
     scene: Scene, ts: Float[Array, " times"], states: State
 ) -> tuple[Float[Array, " times"], Float[Array, " times"]]:
     """Constraint residual and largest relative bond-length error at each time."""
-
     residual = lax.map(lambda at: constraint_residual(at[0], at[1], scene), (ts, states))
     return residual, bond_errors(scene, states)

@@ -74,7 +74,8 @@ class Solution(eqx.Module):
     @property
     def status(self) -> str:
         """How it ended, in words; "traced" under a transformation, where that is not known yet. Of many
-        runs, how many ended in which way. A host function."""
+        runs, how many ended in which way. A host function.
+        """
         if not known((self.code, self.ending)):
             return "traced"
         ending = Outcome.FINISHED if self.ending is None else self.ending
@@ -90,7 +91,8 @@ class Solution(eqx.Module):
     @property
     def solver(self) -> str | None:
         """Name of the solver; `None` where it is not known, as while it is traced. A host
-        function."""
+        function.
+        """
         if self.method is None or not known(self.method):
             return None
         names = {name_number(name): name for name in _solver_names(*_SOLVERS)}
@@ -99,7 +101,8 @@ class Solution(eqx.Module):
 
     def summary(self) -> str:
         """What was done, in a few lines. A host function, which under a transformation, where numbers
-        are not known yet, says so."""
+        are not known yet, says so.
+        """
         *batch, times, beads, dim = self.states.position.shape
         runs = f"{' x '.join(map(str, batch))} runs of " if batch else ""
         what = f"{runs}{times} states of {beads} beads in {dim}-D"

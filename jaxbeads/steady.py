@@ -42,14 +42,16 @@ class SteadyState(eqx.Module):
     @property
     def growth_rates(self) -> np.ndarray:
         """Rates at which small disturbances grow [1/time], complex, fastest first: the shape is stable
-        if no real part is positive. A turn that makes no difference has rate 0. A host function."""
+        if no real part is positive. A turn that makes no difference has rate 0. A host function.
+        """
         values = np.linalg.eigvals(np.asarray(self.jacobian)).astype(complex)
         return values[np.argsort(-np.real(values))]
 
 
 class Shape(eqx.Module):
     """Coordinates y of shapes about one of them: those of `chart` relative to the first place, places in
-    units of the fibre's length."""
+    units of the fibre's length.
+    """
 
     chart: AbstractCoordinates
     scale: Array
@@ -140,7 +142,8 @@ class _Turn(eqx.Module):
 
 class Root(eqx.Module):
     """What `root` finds: the state, what else is sought, whether it was found; the Jacobians of the
-    residual and of what else is sought, and the last state at which they were taken."""
+    residual and of what else is sought, and the last state at which they were taken.
+    """
 
     state: State
     sought: Array

@@ -220,7 +220,8 @@ def _built(build: Build, point: Mapping[str, Array]) -> tuple[Scene, State]:
 
 def _together(build: Build, points: Mapping[str, np.ndarray]) -> int:
     """How many members with equal steps a CPU follows side by side: as many as LAPACK takes in one call,
-    while their tables of pairs stay in the fast cache."""
+    while their tables of pairs stay in the fast cache.
+    """
 
     def multipliers(point: dict[str, Array]) -> tuple[Array, Array]:
         scene, state = _built(build, point)

@@ -106,7 +106,8 @@ class _Overlap(NamedTuple):
 
 def _distances(s: _Separation, a: Array, b: Array) -> tuple[Array, Array, _Overlap, Array]:
     """Whether one sphere is within the other (also the diagonal); whether they meet at all; those that
-    overlap; inverse distance of those that do not, a regular value elsewhere."""
+    overlap; inverse distance of those that do not, a regular value elsewhere.
+    """
     inside, near, touching = s.distance <= jnp.abs(a - b), s.distance <= a + b, a + b
     r = jnp.where(near & ~inside, s.distance, touching)
     inverse = 1 / r
@@ -182,7 +183,8 @@ def rpy(configuration: Configuration) -> PairTensor:
 
 def rpy_motion(configuration: Configuration, load: Load) -> Motion:
     """M F as `rpy(...).motion(load)`, but pair by pair: no field outlives the sum that it goes into, and
-    derivatives need no outer products. Memory grows like the number of beads (see `pair_sums`)."""
+    derivatives need no outer products. Memory grows like the number of beads (see `pair_sums`).
+    """
     scaled, rotational = configuration.scaled, configuration.rotational
 
     def fields(vector: list[Field], radii: Radii | None) -> tuple[Field, ...]:

@@ -9,7 +9,8 @@ from jaxtyping import Array, Float
 class AbstractCurvature(eqx.Module):
     """Preferred curvature kappa_0(s, t) at the joints of a fibre, whose bending moment is then
     m = K_b (kappa - kappa_0) b: the driving torques of an active fibre. They are internal, so their sum
-    and the total force vanish."""
+    and the total force vanish.
+    """
 
     @abc.abstractmethod
     def __call__(

@@ -58,7 +58,8 @@ class AbstractConstraint(eqx.Module):
     ) -> tuple[Array, Array] | None:
         """How far what it prescribes is from where its law leads since the start (a time and a state),
         and how far the law leads, vectors of any number [length]. `None` if it has no law of places.
-        Only a law's derivative is enforced: where the law jumps, nobody follows."""
+        Only a law's derivative is enforced: where the law jumps, nobody follows.
+        """
         return None
 
     def check(self, chain: Chain, dim: int) -> None:
@@ -119,7 +120,8 @@ def ends(row: int, column: int) -> Difference:
 
 def regular(block: Array, mask: np.ndarray, scale: Array | None) -> Array:
     """A block of S whose rows between two fibres are zero, but for `scale` on the diagonal if given, so
-    that S stays regular."""
+    that S stays regular.
+    """
     if mask.all():
         return block
     block = jnp.where(mask[:, None] & mask[None, :], block, 0.0)

@@ -11,7 +11,8 @@ from .base import AbstractConstraint
 
 class EqualSpins(AbstractConstraint):
     """w_i = w_{i+1}: together with `Gears` or `Joint` it makes each fibre a rigid body, in the plane and
-    in space. (`FrozenJoints` also freezes the shape, but lets the beads roll.)"""
+    in space. (`FrozenJoints` also freezes the shape, but lets the beads roll.)
+    """
 
     rotational: ClassVar[bool] = True
     turning: ClassVar[bool] = True

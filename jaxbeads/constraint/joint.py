@@ -69,7 +69,8 @@ class Joint(AbstractChainConstraint):
 
     def bond_errors(self, state: State, chain: Chain) -> Float[Array, " bonds"]:
         """Distance of the two beads' joints over the bond length, or the error of their directors'
-        lengths if that is larger: time stepping keeps eq. (2), which is linear, even where it fails."""
+        lengths if that is larger: time stepping keeps eq. (2), which is linear, even where it fails.
+        """
         if state.director is None:
             raise ValueError("Argument `state` must hold directors for Joint, but it holds none.")
         apart = norm(bonds(state.position) - linked(chain, state.director))

@@ -194,7 +194,8 @@ class PrescribedDirection(AbstractConstraint):
 
     def slip(self, t: Float[Array, ""], state: State, motion: Motion, chain: Chain) -> Array:
         """Normal velocity of the bond's end about its start minus the law's [length/time],
-        `(dim - 1,)`."""
+        `(dim - 1,)`.
+        """
         d = bonds(state.position)[_at(self.bond)]
         e, turning = unit(d), bonds(motion.velocity)[_at(self.bond)]
         if self.law is not None:
@@ -210,7 +211,8 @@ class PrescribedDirection(AbstractConstraint):
         chain: Chain,
     ) -> tuple[Array, Array] | None:
         """The way of the bond's end about its beginning minus that of the law, and that of the law, if
-        the bond started along it."""
+        the bond started along it.
+        """
         if self.law is None:
             return None
         (before, then), length = start, chain.bond_length[_at(self.bond)]

@@ -26,7 +26,8 @@ class AbstractFlow(eqx.Module):
 
     def laplacian(self, t: Float[Array, ""], x: Float[Array, " dim"]) -> Float[Array, " dim"]:
         """Laplacian of the velocity at the point x [1/(length time)], by differentiation unless
-        overridden. (A planar flow is the same at any height above its plane.)"""
+        overridden. (A planar flow is the same at any height above its plane.)
+        """
 
         def second(axis: Array) -> Array:
             along = partial(jax.jvp, lambda x: self.velocity(t, x))

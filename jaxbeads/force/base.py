@@ -15,7 +15,8 @@ from ..state import Load, State
 
 class AbstractForce(eqx.Module):
     """Loads on the beads as a function of time and state; of the scene it reads chain, viscosity and
-    domain."""
+    domain.
+    """
 
     rotational: eqx.AbstractClassVar[bool]
     """Whether the load holds torques."""
@@ -43,12 +44,14 @@ class AbstractForce(eqx.Module):
 
     def passed(self, before: State, after: State, scene: Setting) -> Bool[Array, ""]:
         """Whether beads that go straight from one state to another pass something that acts on them on
-        the way, but at neither end: such a step is tried again with a smaller one."""
+        the way, but at neither end: such a step is tried again with a smaller one.
+        """
         return jnp.zeros((), bool)
 
     def begin(self, state: State, scene: Setting) -> Float[Array, "..."] | None:
         """Numbers of order one, any shape, that the force owns: they start from these, change at
-        `own_rate`, and are in `state.own` where the force is asked. `None`: it owns nothing."""
+        `own_rate`, and are in `state.own` where the force is asked. `None`: it owns nothing.
+        """
         return None
 
     def own_rate(self, t: Float[Array, ""], state: State, scene: Setting) -> Float[Array, "..."]:
@@ -61,7 +64,8 @@ class AbstractForce(eqx.Module):
 
     def explicit_step(self, scene: Setting) -> Float[Array, ""]:
         """Time step [time] that is safe for explicit solvers where this force is stiff: half of AB3's
-        limit, 6/11 over the fastest rate, or less. Infinite unless a force knows better."""
+        limit, 6/11 over the fastest rate, or less. Infinite unless a force knows better.
+        """
         return jnp.asarray(jnp.inf)
 
 
@@ -85,7 +89,8 @@ class AbstractPotential(AbstractForce):
 
 def repulsion(gap: Array, roughness: Array, decay: Array) -> Array:
     """Profile of the repulsive force between surfaces at the distance `gap`, eq. (43), over its scale:
-    0 beyond the roughness, rising linearly to 1 at minus the roughness, exponential beyond."""
+    0 beyond the roughness, rising linearly to 1 at minus the roughness, exponential beyond.
+    """
     deep = jnp.minimum(gap + roughness, 0.0)  # bounded where the other branch holds
     ramp = 0.5 - gap / (2 * roughness)
     return jnp.where(gap > roughness, 0.0, jnp.where(deep < 0, jnp.exp(-deep / decay), ramp))

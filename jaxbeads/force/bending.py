@@ -137,7 +137,8 @@ class Bending(AbstractForce):
 
     def energy(self, t: Float[Array, ""], state: State, scene: Setting) -> Float[Array, ""]:
         """Bending energy [force length], that of `BendingEnergy`. **Raises** `ValueError` for a
-        curvature at rest given as vectors."""
+        curvature at rest given as vectors.
+        """
         return _energy(self, t, state, scene.chain)
 
     def framed(self, chain: Chain) -> bool:
@@ -255,7 +256,8 @@ class BendingEnergy(AbstractPotential):
     def explicit_step(self, scene: Setting) -> Float[Array, ""]:
         """Half of AB3's limit, 6/11 over the fastest rate, which is at most 16 (K_b / l^3)/(6 pi mu a):
         0.16 times the paper's step (39). Forces across a fibre move single beads, as torques do not;
-        with interactions between beads the limit is 2.7 times as far."""
+        with interactions between beads the limit is 2.7 times as far.
+        """
         chain = scene.chain
         share = jnp.min(chain.radius) / (2 * jnp.min(chain.radius + chain.gap))
         return 3 / 11 * 6 * np.pi / 16 * share * _bending_step(self.rigidity, scene)

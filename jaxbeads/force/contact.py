@@ -46,7 +46,8 @@ class Contact(AbstractForce):
 
     def passed(self, before: State, after: State, scene: Setting) -> Bool[Array, ""]:
         """Whether two beads come closer on the way than at both ends, by more than half the roughness,
-        and repel each other there."""
+        and repel each other there.
+        """
         chain = scene.chain
         index = jnp.arange(chain.beads)
         beads = (

@@ -36,7 +36,8 @@ class AbstractCurvatureLaw(eqx.Module):
 
 class CrossProductCurvature(AbstractCurvatureLaw):
     """kappa = |e x e'| / (2a), eq. (34); energy K_b (1 - cos phi) / (2a). Smooth for a straight and a
-    folded chain; weakens when the chain turns by more than a right angle at one bead."""
+    folded chain; weakens when the chain turns by more than a right angle at one bead.
+    """
 
     def secant(self, cosine: Array) -> Array:
         """1."""
@@ -49,7 +50,8 @@ class CrossProductCurvature(AbstractCurvatureLaw):
 
 class SineRuleCurvature(AbstractCurvatureLaw):
     """kappa = sin(phi/2) / a, eq. (33): the circle through three neighbouring centres; energy
-    (2 K_b / a)(1 - cos(phi/2)). Grows up to the fold, where its direction is undefined."""
+    (2 K_b / a)(1 - cos(phi/2)). Grows up to the fold, where its direction is undefined.
+    """
 
     def _half(self, cosine: Array) -> Array:
         square = 0.5 * (1 + cosine)
@@ -94,7 +96,8 @@ def rest_at(
     dim: int,
 ) -> Array:
     """Curvature at rest at one instant, `(joints,)`, in space also `(joints, 2)` or `(joints, 3)`; its
-    name, for what a function has wrong."""
+    name, for what a function has wrong.
+    """
     if not isinstance(intrinsic, jax.Array):
         return curvature_of(name, intrinsic, t, arclength, length, dim)
     return intrinsic if intrinsic.ndim else jnp.broadcast_to(intrinsic, arclength.shape)
@@ -115,7 +118,8 @@ def moments(
     rest: Float[Array, "joints spins"],
 ) -> Float[Array, "joints spins"]:
     """K_b (kappa - kappa_0) at joints where a tangent turns from `before` to `after` over the arclength
-    `span`."""
+    `span`.
+    """
     sine, cosine = cross(before, after), jnp.sum(before * after, axis=-1)
     curvature = (law.secant(cosine) / span)[:, None] * sine
     return jnp.broadcast_to(rigidity, cosine.shape)[:, None] * (curvature - rest)
@@ -131,7 +135,8 @@ def oriented(
 ) -> Float[Array, "joints spins"]:
     """`rest` as vectors. In space one number acts along the present binormal, two along the normals of
     the joint's `fibre` (see `frames`), turned from its end-to-end direction to the joint's, three are
-    a vector already."""
+    a vector already.
+    """
     if rest.ndim < 2:
         sine = cross(before, after)
         return rest[:, None] * (unit(sine) if sine.shape[1] == 3 else jnp.ones_like(sine))

@@ -18,7 +18,8 @@ class ForceField(AbstractForce):
     """F = f(t, r) from a function of the time and all positions, `(beads, dim)`, that returns forces
     of the same shape. A function that is a pytree (an `equinox.Module`) keeps its parameters as
     leaves; what a plain function closes over is constant. `links`: whether it keeps neighbours
-    together."""
+    together.
+    """
 
     rotational: ClassVar[bool] = False
     function: Callable[[Array, Array], Array] = eqx.field(converter=leaf_function)
@@ -35,7 +36,8 @@ class ForceField(AbstractForce):
 
 class Potential(AbstractPotential):
     """E = f(t, r) from a function of the time and all positions, `(beads, dim)`, that returns an
-    energy; the force is minus its gradient. Leaves and `links` as in `ForceField`."""
+    energy; the force is minus its gradient. Leaves and `links` as in `ForceField`.
+    """
 
     rotational: ClassVar[bool] = False
     function: Callable[[Array, Array], Array] = eqx.field(converter=leaf_function)

@@ -173,7 +173,8 @@ class JointBending(AbstractForce):
 
     def explicit_step(self, scene: Setting) -> Float[Array, ""]:
         """A fifth of the paper's step (39), and as far below AB3's limit: a joint's moment turns single
-        beads, whose fastest rate is about 4 (K_b / l) / (8 pi mu a^3)."""
+        beads, whose fastest rate is about 4 (K_b / l) / (8 pi mu a^3).
+        """
         chain = scene.chain
         most = stiffest(self.rigidity, chain.bond_mask)
         radius = jnp.min(chain.radius)

@@ -46,7 +46,8 @@ class AbstractMobility(eqx.Module):
 
     def is_dense(self, beads: int) -> bool:
         """Whether the multipliers of so many beads are found by a factorisation; otherwise by
-        iterations, for which it needs `tables` of some of the beads."""
+        iterations, for which it needs `tables` of some of the beads.
+        """
         return True
 
     def check(self, scene: Setting, flow: AbstractFlow | None, dim: int) -> None:
@@ -64,7 +65,8 @@ class AbstractMobility(eqx.Module):
         self, configuration: Configuration, strain_rate: Float[Array, "*beads dim dim"]
     ) -> Motion | None:
         """C : E for the ambient rate of strain at the beads [1/time], one for all or one for each;
-        `None` if there is none."""
+        `None` if there is none.
+        """
         return None
 
     def tables(self, configuration: Configuration) -> PairTensor | None:
@@ -80,7 +82,8 @@ class AbstractMobility(eqx.Module):
     ) -> Float[Array, "points 3"] | None:
         """Velocity of the fluid at points [length/time] that loads and the beads' resistance to a rate
         of strain drive, beside the ambient flow: that of which M and C are means over beads. All is in
-        space. `None` if it knows of no fluid."""
+        space. `None` if it knows of no fluid.
+        """
         return None
 
     def gradient(

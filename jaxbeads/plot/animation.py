@@ -175,7 +175,8 @@ _GREYS = (0, 40, 80, 120, 150, 165, 176, 188, 200, 210, 219, 230, 243, 255)
 
 def _palette(pictures: list[Image.Image], colours: int) -> Image.Image:
     """One palette for all, so that what does not change from one to the next costs nothing. Each shade
-    counts alike, or paper and floor would take most of them."""
+    counts alike, or paper and floor would take most of them.
+    """
     every = np.concatenate([np.asarray(p).reshape(-1, 3) for p in pictures])
     every = every[np.ptp(every, axis=1) > 12]
     palette = [shade for grey in _GREYS for shade in 3 * (grey,)]

@@ -88,7 +88,8 @@ def planar_beating(
 
 def lateral_harmonic(solution: Solution, fractions: np.ndarray) -> np.ndarray:
     """First harmonic of the lateral deflection over the last period, y = Im(c exp(i zeta t)): complex c
-    [length] at fractions of the distance between the first and the last bead's centres."""
+    [length] at fractions of the distance between the first and the last bead's centres.
+    """
     period = last_period(solution)
     ts = np.asarray(period.ts)
     y = np.asarray(period.states.position)[

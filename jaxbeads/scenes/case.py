@@ -117,7 +117,8 @@ def last_period(solution: Solution) -> Solution:
 
 def shape_changes(solution: Solution) -> float:
     """Largest distance of a bead from where it was one period earlier, once both shapes are laid over
-    one another (moved and turned), over the last period [length]."""
+    one another (moved and turned), over the last period [length].
+    """
     position = np.asarray(solution.states.position)
     shape = position - position.mean(axis=1, keepdims=True)
     now, before = shape[-SAMPLES:], shape[-2 * SAMPLES : -SAMPLES]
@@ -141,7 +142,8 @@ def distance_swum(case: "Case", solution: Solution) -> np.ndarray:
 
 def worm_amplitude(chain: Chain, peak: float) -> Array:
     """Amplitude of the preferred curvature at the joints [1/length]: `peak` / L over the first half
-    of the length, then falling linearly to zero at the tail."""
+    of the length, then falling linearly to zero at the tail.
+    """
     fibre = chain.fibre_of_bead[1:-1]
     s = chain.arclength[1:-1] / chain.length[fibre]
     return peak / chain.length[fibre] * jnp.minimum(1.0, 2 * (1 - s))

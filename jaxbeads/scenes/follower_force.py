@@ -62,7 +62,8 @@ def follower_force(
 
 def growth_rates(scene: Scene) -> np.ndarray:
     """Growth rates of small deflections of the straight filament [1/time], fastest first; their
-    imaginary parts are angular frequencies."""
+    imaginary parts are angular frequencies.
+    """
     held = 1 if len(scene.constraints) == 2 else 2
     return lateral_modes(scene, held=held)[0]
 

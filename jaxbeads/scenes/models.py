@@ -44,7 +44,8 @@ class AbstractModel(eqx.Module):
         self, chain: Chain, rigidity: Any, intrinsic_curvature: Any = 0.0, drag: Any = 0.0
     ) -> tuple[AbstractForce, ...]:
         """Forces for a bending rigidity K_b. `drag` is the force on the whole fibre, a scale for
-        repulsions."""
+        repulsions.
+        """
 
     @abc.abstractmethod
     def state(self, chain: Chain, angles: Any) -> State:

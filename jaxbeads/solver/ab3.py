@@ -29,7 +29,8 @@ class AdamsBashforth(diffrax.AbstractSolver):
 
     def init(self, terms: Any, t0: Any, t1: Any, y0: PyTree, args: PyTree) -> PyTree:
         """Two past derivatives, the number of steps done, and where the first two steps lead: they are
-        taken here, because a branch in each step would be dear to differentiate."""
+        taken here, because a branch in each step would be dear to differentiate.
+        """
         h = t1 - t0
 
         def start(y: PyTree, t: Any) -> tuple[PyTree, PyTree]:

@@ -241,7 +241,8 @@ def _stages_jvp(primals: Any, tangents: Any) -> tuple[_Stages, _Stages]:
 
         (I - h GAMMA W) u_i* = GAMMA [h* (f_i + G_i) + h f_i* + sum C_ij u_j* + h G_i*].
 
-    So the Jacobian's columns are not differentiated, and the factor serves here too."""
+    So the Jacobian's columns are not differentiated, and the factor serves here too.
+    """
     t0, h, chart, scene = primals
     found = keep(_stages(*primals))
     us, x0, factor, instants = found.us, chart.origin, found.factor, found.instants

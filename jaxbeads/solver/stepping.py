@@ -44,7 +44,8 @@ _TERM = diffrax.ODETerm(_vector_field)
 def explicit_step(scene: Scene) -> Float[Array, ""]:
     """Time step for explicit solvers: the smallest that a force asks for. With `Bending` the paper's
     mu (2a)^4 / K_b, eq. (39), for the smallest radius and the largest rigidity; infinite without
-    stiff forces."""
+    stiff forces.
+    """
     steps = [f.explicit_step(scene) for f in scene.forces]
     return jnp.min(jnp.stack([jnp.asarray(jnp.inf), *steps]))
 
@@ -129,7 +130,8 @@ class FixedSteps(eqx.Module):
 
 def _first_step(scene: Scene, state: State, t0: Time, t1: Time) -> Array:
     """A step in which no bead moves by more than a thousandth of a fibre's length, or to the next save
-    time. The controller takes it from there."""
+    time. The controller takes it from there.
+    """
     t0, t1, state, scene = lax.stop_gradient((jnp.asarray(t0), t1, state, scene))
     speed = jnp.max(norm(rate(t0, state, scene).position))
     short = 1e-3 * jnp.max(scene.chain.length) / jnp.where(speed > 0, speed, 1.0)
@@ -281,7 +283,8 @@ def _step(
 def _plain(step: Any, gap: Any) -> Array:
     """A length of a step whose ratio to the gap between save times has twelve binary digits: programs of
     one run that differ in rounding, as those of its derivatives, or in other units, take the same
-    steps."""
+    steps.
+    """
     ratio = jnp.asarray(step / gap)
     exponent = jnp.finfo(ratio.dtype).nexp
     return gap * lax.reduce_precision(ratio, exponent_bits=exponent, mantissa_bits=12)
