@@ -30,6 +30,11 @@ class Chain(eqx.Module):
 
     **Raises** `ValueError` for a radius that is not positive or does not fit the number of beads, and
     for a negative gap.
+
+    >>> import jaxbeads as jb
+    >>> chain = jb.Chain(radius=1.0, fibres=[3, 2])
+    >>> print(chain.beads, chain.length, chain.bond_length, chain.bond_mask)
+    5 [6. 4.] [2. 2. 2. 2.] [ True  True False  True]
     """
 
     radius: Float[Array, ""] | Float[Array, " beads"] = eqx.field(converter=float_array)
@@ -157,6 +162,13 @@ def from_tangents(chain: Chain, tangents: Any, centre: Any = None) -> Float[Arra
 
     **Returns** positions, shape `(beads, dim)`. **Raises** `ValueError` for shapes that do not fit
     and for a zero tangent.
+
+    >>> import jaxbeads as jb
+    >>> chain = jb.Chain(radius=1.0, fibres=3)
+    >>> print(jb.from_tangents(chain, [[1.0, 0.0], [0.0, 1.0]], centre=[0.0, 0.0]).round(4))
+    [[-1.3333 -0.6667]
+     [ 0.6667 -0.6667]
+     [ 0.6667  1.3333]]
     """
     tangents = float_array(tangents)
     if (
@@ -194,6 +206,14 @@ def from_directors(chain: Chain, directors: Any, centre: Any = None) -> State:
 
     **Returns** positions and directors. **Raises** `ValueError` for shapes that do not fit and for a
     zero director.
+
+    >>> import jaxbeads as jb
+    >>> chain = jb.Chain(radius=1.0, fibres=2, gap=0.1)
+    >>> state = jb.from_directors(chain, [[1.0, 0.0], [0.0, 1.0]])
+    >>> print(state.position, state.director)
+    [[-0.55 -0.55]
+     [ 0.55  0.55]] [[1. 0.]
+     [0. 1.]]
     """
     directors = float_array(directors)
     shape("directors", directors, (chain.beads, 2), (chain.beads, 3))
@@ -244,6 +264,12 @@ def straight(chain: Chain, direction: Any, centre: Any = None) -> State:
     - `centre`: as in `from_tangents`.
 
     **Raises** `ValueError` for a zero direction or shapes that do not fit.
+
+    >>> import jaxbeads as jb
+    >>> print(jb.straight(jb.Chain(radius=1.0, fibres=3), direction=[0.0, 5.0]).position)
+    [[ 0. -2.]
+     [ 0.  0.]
+     [ 0.  2.]]
     """
     direction = float_array(direction)
     fibres = len(chain.fibres)

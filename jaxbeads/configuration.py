@@ -23,6 +23,11 @@ class Configuration(eqx.Module):
     - `viscosity`: mu [force time/length^2].
     - `rotational`: whether spins and torques take part.
     - `domain`: the space that they are in.
+
+    >>> import jaxbeads as jb
+    >>> beads = jb.Configuration([[0.0, 0.0], [3.0, 0.0]], radius=[1.0, 2.0], viscosity=1.0)
+    >>> print(beads.beads, beads.dim, beads.scaled.length)
+    2 2 2.0
     """
 
     position: Float[Array, "beads dim"] = eqx.field(converter=float_array)

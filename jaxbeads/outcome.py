@@ -8,6 +8,10 @@ class Outcome(IntEnum):
 
     Members are whole numbers, with which compiled programs compute. Those of endings are such that a sum
     or a difference of two is none of them: solutions may be subtracted.
+
+    >>> from jaxbeads import Outcome
+    >>> print(Outcome.FINE == 0, Outcome(3).word, Outcome(103).word)
+    True broken interrupted
     """
 
     word: str

@@ -16,6 +16,19 @@ from ..state import Load, State
 class AbstractForce(eqx.Module):
     """Loads on the beads as a function of time and state; of the scene it reads chain, viscosity and
     domain.
+
+    >>> from typing import ClassVar
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.force import AbstractForce
+    >>> class Rising(AbstractForce):  # lighter than the fluid, and more so in time
+    ...     rotational: ClassVar[bool] = False
+    ...     def load(self, t, state, scene):
+    ...         return jb.Load(force=jnp.zeros_like(state.position).at[:, 1].set(t))
+    >>> scene = jb.Scene(jb.Chain(radius=1.0, fibres=1), 1.0, forces=[Rising()])
+    >>> v = jb.dynamics.motion(6 * jnp.pi, jb.State([[0.0, 0.0]]), scene).velocity
+    >>> print(v.round(12))  # F/(6 pi mu a)
+    [[0. 1.]]
     """
 
     rotational: eqx.AbstractClassVar[bool]
@@ -70,7 +83,20 @@ class AbstractForce(eqx.Module):
 
 
 class AbstractPotential(AbstractForce):
-    """A force that is minus the gradient of an energy. `energy` is all that it has to say."""
+    """A force that is minus the gradient of an energy. `energy` is all that it has to say.
+
+    >>> from typing import ClassVar
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.force import AbstractPotential
+    >>> class Trap(AbstractPotential):
+    ...     rotational: ClassVar[bool] = False
+    ...     def energy(self, t, state, scene):
+    ...         return 0.5 * jnp.sum(state.position**2)
+    >>> setting = jb.Setting(jb.Chain(radius=1.0, fibres=1), viscosity=1.0)
+    >>> print(Trap().load(jnp.zeros(()), jb.State([[3.0, 1.0]]), setting).force)
+    [[-3. -1.]]
+    """
 
     rotational: eqx.AbstractClassVar[bool]
 

@@ -93,6 +93,16 @@ class Bending(AbstractForce):
     - `law`: discrete curvature, `CrossProductCurvature()` (34) or `SineRuleCurvature()` (33).
 
     **Raises** `ValueError` for a negative rigidity, values that are not finite, or wrong shapes.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.force import Bending
+    >>> chain = jb.Chain(radius=1.0, fibres=3)
+    >>> bent = jb.State(jb.from_tangents(chain, [[1.0, 0.0], [0.8, 0.6]]))  # kappa = 0.6/2
+    >>> setting = jb.Setting(chain, viscosity=1.0)
+    >>> torque = Bending(rigidity=10.0).load(jnp.zeros(()), bent, setting).torque
+    >>> print(torque.round(6).ravel())  # half of K_b kappa, none, minus half of it
+    [ 1.5  0.  -1.5]
     """
 
     rotational: ClassVar[bool] = True
@@ -181,6 +191,14 @@ class DrivingMoment(AbstractForce):
 
     **Argument**: `moment`: as `intrinsic_curvature` of `Bending` [force length]: numbers, or a
     function of time, arclength and length.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.force import DrivingMoment
+    >>> chain = jb.Chain(radius=1.0, fibres=3)
+    >>> state, setting = jb.straight(chain, [1.0, 0.0]), jb.Setting(chain, viscosity=1.0)
+    >>> print(DrivingMoment(2.0).load(jnp.zeros(()), state, setting).torque.ravel() + 0.0)
+    [-1.  0.  1.]
     """
 
     rotational: ClassVar[bool] = True
@@ -218,6 +236,15 @@ class BendingEnergy(AbstractPotential):
     serves chains without spins. Arguments as there, except that `intrinsic_curvature` is a number, one
     for each joint or a function that returns these (in space it acts on the unsigned angle and leaves
     a straight joint straight).
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.force import BendingEnergy
+    >>> chain = jb.Chain(radius=1.0, fibres=3)
+    >>> bent = jb.State(jb.from_tangents(chain, [[1.0, 0.0], [0.8, 0.6]]))  # cos phi = 0.8
+    >>> setting = jb.Setting(chain, viscosity=1.0)
+    >>> print(BendingEnergy(rigidity=10.0).energy(jnp.zeros(()), bent, setting).round(6))
+    1.0
     """
 
     rotational: ClassVar[bool] = False

@@ -23,7 +23,18 @@ Curvature = Array | Callable[[Array, Array, Array], Array]
 
 
 class AbstractCurvatureLaw(eqx.Module):
-    """Discrete curvature at a joint where the tangent turns by phi over the arclength l (= 2a)."""
+    """Discrete curvature at a joint where the tangent turns by phi over the arclength l (= 2a).
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.force import AbstractCurvatureLaw
+    >>> class Angle(AbstractCurvatureLaw):  # kappa = phi/l, for turns that do not vanish
+    ...     def secant(self, cosine):
+    ...         return jnp.arccos(cosine) / jnp.sqrt(1 - cosine**2)
+    ...     def energy(self, cosine):
+    ...         return jnp.arccos(cosine) ** 2 / 2
+    >>> print(Angle().energy(jnp.cos(0.2)).round(6))
+    0.02
+    """
 
     @abc.abstractmethod
     def secant(self, cosine: Array) -> Array:
@@ -37,6 +48,12 @@ class AbstractCurvatureLaw(eqx.Module):
 class CrossProductCurvature(AbstractCurvatureLaw):
     """kappa = |e x e'| / (2a), eq. (34); energy K_b (1 - cos phi) / (2a). Smooth for a straight and a
     folded chain; weakens when the chain turns by more than a right angle at one bead.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.force import CrossProductCurvature
+    >>> law, turn = CrossProductCurvature(), jnp.pi / 6
+    >>> print((law.secant(jnp.cos(turn)) * jnp.sin(turn)).round(6), law.energy(jnp.cos(turn)).round(4))
+    0.5 0.134
     """
 
     def secant(self, cosine: Array) -> Array:
@@ -51,6 +68,12 @@ class CrossProductCurvature(AbstractCurvatureLaw):
 class SineRuleCurvature(AbstractCurvatureLaw):
     """kappa = sin(phi/2) / a, eq. (33): the circle through three neighbouring centres; energy
     (2 K_b / a)(1 - cos(phi/2)). Grows up to the fold, where its direction is undefined.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.force import SineRuleCurvature
+    >>> law, turn = SineRuleCurvature(), jnp.pi / 3
+    >>> print((law.secant(jnp.cos(turn)) * jnp.sin(turn)).round(6))  # kappa 2a = 2 sin(phi/2)
+    1.0
     """
 
     def _half(self, cosine: Array) -> Array:

@@ -33,6 +33,18 @@ class AbstractMobility(eqx.Module):
     are assembled from fields of pairs (and large scenes are iterated), `gradient` finds the derivatives
     by the positions for pairs. `fluid_velocity`, if it knows of a fluid between the beads, is what
     `flow_field` shows.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> class Porous(jb.mobility.AbstractMobility):  # every bead with the same drag
+    ...     drag: float
+    ...     def motion(self, configuration, load):
+    ...         return jb.Motion(load.force / self.drag)
+    >>> chain = jb.Chain(radius=1.0, fibres=2)
+    >>> scene = jb.Scene(chain, 1.0, Porous(4.0), forces=[jb.force.Weight([0.0, -1.0])])
+    >>> print(jb.dynamics.motion(0.0, jb.straight(chain, [1.0, 0.0]), scene).velocity)
+    [[ 0.   -0.25]
+     [ 0.   -0.25]]
     """
 
     interacting: ClassVar[bool] = True
@@ -115,7 +127,14 @@ class AbstractMobility(eqx.Module):
 
 @runtime_checkable
 class Product(Protocol):
-    """Anything that takes loads to motions: an `Operator`, or its tables."""
+    """Anything that takes loads to motions: an `Operator`, or its tables.
+
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.mobility import RPY, Product
+    >>> pair = jb.Configuration([[0.0, 0.0], [4.0, 0.0]], radius=1.0, viscosity=1.0)
+    >>> print(isinstance(RPY().operator(pair), Product), isinstance(RPY().tables(pair), Product))
+    True True
+    """
 
     def motion(self, load: Load) -> Motion:
         """M F."""
@@ -123,7 +142,16 @@ class Product(Protocol):
 
 
 class Operator(eqx.Module):
-    """The mobility at one configuration, of which nothing is kept: every product is found anew."""
+    """The mobility at one configuration, of which nothing is kept: every product is found anew.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> pair = jb.Configuration([[0.0, 0.0], [4.0, 0.0]], radius=1.0, viscosity=1.0)
+    >>> operator = jb.mobility.RPY().operator(pair)
+    >>> print((6 * jnp.pi * operator.motion(jb.Load(force=jnp.eye(2))).velocity).round(4))
+    [[1.     0.1953]
+     [0.3594 1.    ]]
+    """
 
     mobility: AbstractMobility
     configuration: Configuration

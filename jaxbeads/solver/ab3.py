@@ -77,6 +77,14 @@ class AB3(AbstractSolver):
     Stable for `Bending` up to about 2.2 times the step (39), which it takes unless told otherwise.
 
     **Arguments**, by name: `substeps` and `projected`, as for `AbstractSolver`; it estimates no error.
+
+    >>> import jaxbeads as jb
+    >>> chain = jb.Chain(radius=1.0, fibres=3)
+    >>> scene = jb.Scene(chain, 1.0, forces=[jb.force.Weight([0.0, -1.0])])
+    >>> state = jb.straight(chain, [1.0, 0.0])
+    >>> solution = jb.rollout(scene, state, [0.0, 1.0, 2.0], solver=jb.AB3(substeps=5))
+    >>> print(solution.steps, solution.code)
+    10 0
     """
 
     equal_steps: ClassVar[bool] = True

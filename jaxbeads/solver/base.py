@@ -25,6 +25,10 @@ class AbstractSolver(eqx.Module):
     - `projected`: restore bond lengths after every step; by default with adaptive steps, unless the
       scheme keeps them by itself.
     - `max_steps`: bound on adaptive steps between two save times.
+
+    >>> import jaxbeads as jb
+    >>> print(jb.Rosenbrock(tolerance=1e-8).estimates_error, jb.AB3(substeps=50).estimates_error)
+    True False
     """
 
     equal_steps: ClassVar[bool] = False

@@ -45,6 +45,12 @@ def explicit_step(scene: Scene) -> Float[Array, ""]:
     """Time step for explicit solvers: the smallest that a force asks for. With `Bending` the paper's
     mu (2a)^4 / K_b, eq. (39), for the smallest radius and the largest rigidity; infinite without
     stiff forces.
+
+    >>> import jaxbeads as jb
+    >>> chain = jb.Chain(radius=1.0, fibres=3)
+    >>> scene = jb.Scene(chain, viscosity=1.0, forces=[jb.force.Bending(16.0)])
+    >>> print(jb.solver.explicit_step(scene))  # mu (2a)^4 / K_b
+    1.0
     """
     steps = [f.explicit_step(scene) for f in scene.forces]
     return jnp.min(jnp.stack([jnp.asarray(jnp.inf), *steps]))
@@ -71,6 +77,11 @@ class FixedSteps(eqx.Module):
     """Equal steps from each save time to the next.
 
     **Argument**: `solver`, whose `substeps` are given.
+
+    >>> from jaxbeads.solver import AB3, FixedSteps
+    >>> steps = FixedSteps(AB3(substeps=5))
+    >>> print(steps.substeps, steps.projected)
+    5 False
     """
 
     solver: AbstractSolver
@@ -153,6 +164,12 @@ class AdaptiveSteps(eqx.Module):
     """Steps chosen by a `diffrax` controller; save times are interpolated, not stepped on.
 
     **Arguments**: `solver`; `controller`, which its tolerance means in a scene, or its own.
+
+    >>> import diffrax
+    >>> from jaxbeads.solver import AdaptiveSteps, Rosenbrock
+    >>> controller = diffrax.PIDController(rtol=1e-6, atol=1e-6)
+    >>> print(AdaptiveSteps(Rosenbrock(), controller).controller.rtol)
+    1e-06
     """
 
     solver: AbstractSolver
@@ -322,6 +339,12 @@ def substeps_for(scene: Scene, ts: Any, step: float | None = None) -> int:
     """Number of equal steps between save times, from a largest step (by default `explicit_step`).
 
     **Raises** `ValueError` if there is neither a step nor a stiff force.
+
+    >>> import jaxbeads as jb
+    >>> chain = jb.Chain(radius=1.0, fibres=3)
+    >>> scene = jb.Scene(chain, viscosity=1.0, forces=[jb.force.Bending(16.0)])
+    >>> jb.solver.substeps_for(scene, [0.0, 10.0, 20.0]) >= 10  # a safe step is 1
+    True
     """
     limit = float(explicit_step(scene)) if step is None else step
     if not np.isfinite(limit):
