@@ -33,7 +33,18 @@ class Cause:
 
 
 class SimulationError(RuntimeError):
-    """A run that broke down. `cause` says where and why; `solution` ends with the last good state."""
+    """A run that broke down. `cause` says where and why; `solution` ends with the last good state.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> push = jb.force.ForceField(lambda t, r: jnp.log(1.5 - t) * jnp.ones_like(r))
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[push])
+    >>> try:
+    ...     jb.simulate(scene, jb.State([[0.0, 0.0]]), [0.0, 1.0, 2.0], substeps=1, progress=False)
+    ... except jb.SimulationError as error:
+    ...     print(error.cause.term, error.solution.ts)
+    ForceField [0. 1.]
+    """
 
     def __init__(self, cause: Cause, solution: Solution) -> None:
         super().__init__(cause.message)

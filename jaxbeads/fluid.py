@@ -30,6 +30,13 @@ from .state import Load, Motion, State
 class FlowField(eqx.Module):
     """Velocity of the fluid at one instant, as a function of points (see `flow_field`). A pytree: it
     goes through `jit`, `vmap` and `grad`.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[jb.force.Weight([0.0, -6 * jnp.pi])])
+    >>> field = jb.flow_field(0.0, jb.State([[0.0, 0.0]]), scene)
+    >>> print(isinstance(field, jb.FlowField), field(jnp.array([[0.0, 0.0]])).round(6))
+    True [[ 0. -1.]]
     """
 
     t: Float[Array, ""]
@@ -147,6 +154,14 @@ def flow_field(t: Time, state: State, scene: Scene, *, co_moving: bool = False) 
     dimension, in a planar scene also of three components, `(..., dim)` [length], to velocities of the
     same shape [length/time]. Pure. **Raises** `ValueError` for a mobility that knows of no fluid
     (`FreeDraining`).
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[jb.force.Weight([0.0, -6 * jnp.pi])])
+    >>> field = jb.flow_field(0.0, jb.State([[0.0, 0.0]]), scene)
+    >>> print(field(jnp.array([[1.0, 0.0], [5.0, 0.0]])).round(4))  # Stokes: 3a/(4r) + a^3/(4r^3)
+    [[ 0.    -1.   ]
+     [ 0.    -0.152]]
     """
     kind("scene", scene, Scene)
     kind("state", state, State)
@@ -196,6 +211,14 @@ def _solved(
 class AverageFlowField(eqx.Module):
     """Mean over a run of the velocity of the fluid, as a function of points (see
     `average_flow_field`).
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[jb.force.Weight([0.0, -6.0])])
+    >>> fall = jb.rollout(scene, jb.State([[0.0, 0.0]]), [0.0, 1.0, 2.0], substeps=1)
+    >>> field = jb.average_flow_field(fall, scene, co_moving=True)
+    >>> print(isinstance(field, jb.AverageFlowField), field.co_moving)
+    True True
     """
 
     solution: Solution
@@ -225,5 +248,13 @@ def average_flow_field(
     **Arguments**: solution and scene; `co_moving`: as for `flow_field`, at each time anew; the mean
     far away is then minus the mean velocity of the beads. **Returns** a function of points as
     `flow_field` does. Each call solves all instants again: give it all points at once.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[jb.force.Weight([0.0, -6.0])])
+    >>> fall = jb.rollout(scene, jb.State([[0.0, 0.0]]), [0.0, 1.0, 2.0], substeps=1)
+    >>> far = jnp.array([[0.0, 1e9]])
+    >>> print(jb.average_flow_field(fall, scene, co_moving=True)(far).round(4))  # minus the bead's
+    [[0.     0.3183]]
     """
     return AverageFlowField(solution, scene, co_moving)

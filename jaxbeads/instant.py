@@ -37,7 +37,16 @@ from .state import Load, Motion, State, add_loads, add_motions, zero_motion
 
 
 def applied_load(t: Time, state: State, scene: Scene) -> Load:
-    """Sum of the forces' loads, without those of the constraints."""
+    """Sum of the forces' loads, without those of the constraints.
+
+    >>> import jaxbeads as jb
+    >>> forces = [jb.force.Weight([0.0, -1.0]), jb.force.Follower(2.0)]
+    >>> scene = jb.Scene(jb.Chain(radius=1.0, fibres=3), viscosity=1.0, forces=forces)
+    >>> print(jb.dynamics.applied_load(0.0, jb.straight(scene.chain, [1.0, 0.0]), scene).force)
+    [[ 0. -1.]
+     [ 0. -1.]
+     [-2. -1.]]
+    """
     return add_loads(*(scene.load_of(k, t, state) for k in range(len(scene.forces))))
 
 
@@ -53,14 +62,30 @@ def _fluid(flow: AbstractFlow, t: Time, state: State, scene: Scene) -> tuple[Mot
 
 
 def fluid_motion(t: Time, state: State, scene: Scene) -> Motion:
-    """V_inf, the motion of the fluid as the beads feel it."""
+    """V_inf, the motion of the fluid as the beads feel it.
+
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(radius=1.0, fibres=3), 1.0, flow=jb.flow.Shear(1.0))
+    >>> state = jb.straight(scene.chain, [0.0, 1.0])
+    >>> print(jb.dynamics.fluid_motion(0.0, state, scene).velocity)
+    [[-2.  0.]
+     [ 0.  0.]
+     [ 2.  0.]]
+    """
     if scene.flow is None:
         return zero_motion(state, scene.rotational)
     return _fluid(scene.flow, t, state, scene)[0]
 
 
 def ambient_motion(t: Time, state: State, scene: Scene) -> Motion | None:
-    """V_inf + C : E, the motion of beads without load; `None` without a flow."""
+    """V_inf + C : E, the motion of beads without load; `None` without a flow.
+
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(radius=1.0, fibres=3), 1.0, flow=jb.flow.Shear(1.0))
+    >>> state = jb.straight(scene.chain, [0.0, 1.0])
+    >>> print(jb.dynamics.ambient_motion(0.0, state, scene).velocity[:, 0].round(4))
+    [-1.9115  0.      1.9115]
+    """
     if scene.flow is None:
         return None
     fluid, strain = _fluid(scene.flow, t, state, scene)
@@ -72,6 +97,13 @@ def free_motion(t: Time, state: State, scene: Scene, operator: Product) -> Motio
     """Velocities and spins of the beads as if nothing held them, M F + V_inf + C : E.
 
     **Arguments**: time, state and scene; M at that state, as `scene.operator(state)`.
+
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(radius=1.0, fibres=3), 1.0, forces=[jb.force.Weight([0.0, -1.0])])
+    >>> state = jb.straight(scene.chain, [1.0, 0.0])
+    >>> v = jb.dynamics.free_motion(0.0, state, scene, scene.operator(state)).velocity
+    >>> print(v[1, 1] < v[0, 1])  # nothing holds them together: the middle one falls faster
+    True
     """
     load, ambient = applied_load(t, state, scene), ambient_motion(t, state, scene)
     if load.force is None and load.torque is None:
@@ -228,6 +260,13 @@ def _pushed(t: Time, state: State, scene: Scene, load: Load) -> Motion:
 def rate(t: Time, state: State, scene: Scene, known: Solved | None = None) -> State:
     """Time derivative of the state: the right-hand side that the solvers integrate, eqs (38), (48).
     Derivatives of an instant that is `known` take it as it is.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> weight = jb.force.Weight([0.0, -6 * jnp.pi])
+    >>> scene = jb.Scene(jb.Chain(radius=1.0, fibres=1), viscosity=1.0, forces=[weight])
+    >>> print(jb.dynamics.rate(0.0, jb.State([[0.0, 0.0]]), scene).position.round(12))
+    [[ 0. -1.]]
     """
     moved = evaluation(jnp.asarray(t), state, scene, known).motion
     return moving(state, moved, scene.chain, scene.own_rate(t, state))

@@ -266,6 +266,12 @@ def optimise(
 
     **Returns** an `Optimum`. **Raises** `ValueError` for a start that is outside its bounds or not
     finite, and for a file of another problem.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> best = jb.optimise(lambda x: jnp.sum((x - 3.0) ** 2), jnp.array([0.0, 1.0]), progress=False)
+    >>> print(best.values.round(6))
+    [3. 3.]
     """
     for name, function in (("loss", loss), ("constraint", constraint)):
         if not callable(function) and not (name == "constraint" and function is None):

@@ -193,6 +193,15 @@ def rollout(
     - `single_precision`: confirms that float32 is meant.
 
     **Returns** a `Solution`. **Raises** `ValueError` for input that does not fit.
+
+    >>> import jax
+    >>> import jaxbeads as jb
+    >>> state, ts = jb.State([[0.0, 0.0]]), [0.0, 1.0, 2.0]
+    >>> def fall(weight):
+    ...     scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[jb.force.Weight([0.0, -weight])])
+    ...     return jb.rollout(scene, state, ts, substeps=1).final.position[0, 1]
+    >>> print(f"{fall(6.0):.4f}, {jax.grad(fall)(6.0):.4f}")  # -W t/(6 pi mu a), and its derivative
+    -0.6366, -0.1061
     """
     check(scene, state, single_precision=single_precision)
     increasing("ts", ts)

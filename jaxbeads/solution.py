@@ -53,6 +53,14 @@ class Solution(eqx.Module):
     All of it is in leaves, also how a run ended (`ending`) and by which solver (`method`), as numbers:
     solutions of one shape have one structure, however long they took and whatever became of them. Their
     differences by `jax.tree.map` are solutions again, and a jitted function is traced for one of them.
+
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[jb.force.Weight([0.0, -6.0])])
+    >>> fall = jb.rollout(scene, jb.State([[0.0, 0.0]]), [0.0, 1.0, 2.0], substeps=1)
+    >>> print(fall.states.position.shape, fall.steps, fall.code, fall.status, fall.solver)
+    (3, 1, 2) 2 0 finished AB3
+    >>> print(fall.final.position.round(4))
+    [[ 0.     -0.6366]]
     """
 
     ts: Float[Array, " times"]

@@ -32,6 +32,15 @@ class SteadyState(eqx.Module):
     - `state`, and `velocity`, at which all of it moves [length/time], `(dim,)`.
     - `converged`: whether it was found; if not, the other numbers are NaN.
     - `jacobian`: derivatives of the rates of the shape's coordinates by them [1/time].
+
+    >>> import jaxbeads as jb
+    >>> hung = [jb.constraint.Inextensible(), *jb.constraint.hinged()]
+    >>> scene = jb.Scene(
+    ...     jb.Chain(radius=1.0, fibres=2), 1.0, constraints=hung, forces=[jb.force.Weight([0.0, -1.0])]
+    ... )
+    >>> found = jb.steady_state(scene, jb.straight(scene.chain, [0.2, -1.0]), moving=False)
+    >>> print(found.converged, found.growth_rates.real.max() < 1e-9)  # stable
+    True True
     """
 
     state: State
@@ -301,6 +310,15 @@ def steady_state(
 
     **Returns** a `SteadyState`. **Raises** `ValueError` for input that does not fit, `RuntimeError` if
     none is found (under `jit`, which cannot raise, `converged` is false and the numbers are NaN).
+
+    >>> import jaxbeads as jb
+    >>> hung = [jb.constraint.Inextensible(), *jb.constraint.hinged()]
+    >>> scene = jb.Scene(
+    ...     jb.Chain(radius=1.0, fibres=2), 1.0, constraints=hung, forces=[jb.force.Weight([0.0, -1.0])]
+    ... )
+    >>> found = jb.steady_state(scene, jb.straight(scene.chain, [0.2, -1.0]), moving=False)
+    >>> print(jb.geometry.tangents(found.state.position).round(6) + 0.0)  # it hangs straight down
+    [[ 0. -1.]]
     """
     check(scene, state)
     refuse_freedom(scene, "moving", moving, "translation")

@@ -16,7 +16,7 @@ class AbstractCurvature(eqx.Module):
     >>> class Pulse(AbstractCurvature):
     ...     def __call__(self, t, arclength, length):
     ...         return jnp.sin(t) * arclength / length
-    >>> print(Pulse()(jnp.pi / 2, jnp.array([2.0, 4.0]), jnp.array([8.0, 8.0])))
+    >>> print(Pulse()(jnp.array(jnp.pi / 2), jnp.array([2.0, 4.0]), jnp.array([8.0, 8.0])))
     [0.25 0.5 ]
     """
 

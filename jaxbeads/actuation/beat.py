@@ -15,7 +15,7 @@ class PlanarBeat(eqx.Module):
 
     >>> import jax.numpy as jnp
     >>> from jaxbeads.actuation import PlanarBeat
-    >>> print(PlanarBeat(amplitude=jnp.pi / 6, angular_frequency=1.0)(jnp.pi / 2).round(4))
+    >>> print(PlanarBeat(amplitude=jnp.pi / 6, angular_frequency=1.0)(jnp.array(jnp.pi / 2)).round(4))
     [0.866 0.5  ]
     """
 
@@ -44,8 +44,9 @@ class HelicalBeat(eqx.Module):
     **Arguments**: `amplitude` alpha_0 [rad]; `angular_frequency` zeta [1/time]; `distance` R, 1 for a
     direction, delta of eq. (62) for the position of a bead off the axis [length].
 
+    >>> import jax.numpy as jnp
     >>> from jaxbeads.actuation import HelicalBeat
-    >>> print(HelicalBeat(amplitude=0.3, angular_frequency=1.0)(0.0).round(4))
+    >>> print(HelicalBeat(amplitude=0.3, angular_frequency=1.0)(jnp.zeros(())).round(4))
     [0.9553 0.2955 0.    ]
     """
 

@@ -37,7 +37,7 @@ class TwoStrokes(AbstractCurvature):
     >>> import jax.numpy as jnp
     >>> from jaxbeads.actuation import TwoStrokes
     >>> beat = TwoStrokes(swing=1.0, frequency=1.0)
-    >>> print(beat(0.5, jnp.array([2.0, 6.0]), jnp.array([8.0, 8.0])).round(3))  # on the way back
+    >>> print(beat(jnp.array(0.5), jnp.array([2.0, 6.0]), jnp.array([8.0, 8.0])).round(3))
     [ 0.303 -0.081]
     """
 

@@ -27,7 +27,7 @@ class TravellingWave(AbstractCurvature):
     >>> import jax.numpy as jnp
     >>> from jaxbeads.actuation import TravellingWave
     >>> wave = TravellingWave(amplitude=0.1, wavenumber=jnp.pi / 4, frequency=1.0)
-    >>> print(wave(0.0, jnp.array([2.0, 4.0]), jnp.array([8.0, 8.0])).round(4))
+    >>> print(wave(jnp.zeros(()), jnp.array([2.0, 4.0]), jnp.array([8.0, 8.0])).round(4))
     [0.1 0. ]
     """
 

@@ -243,8 +243,8 @@ class BendingEnergy(AbstractPotential):
     >>> chain = jb.Chain(radius=1.0, fibres=3)
     >>> bent = jb.State(jb.from_tangents(chain, [[1.0, 0.0], [0.8, 0.6]]))  # cos phi = 0.8
     >>> setting = jb.Setting(chain, viscosity=1.0)
-    >>> print(BendingEnergy(rigidity=10.0).energy(jnp.zeros(()), bent, setting).round(6))
-    1.0
+    >>> print(f"{BendingEnergy(rigidity=10.0).energy(jnp.zeros(()), bent, setting):.6f}")
+    1.000000
     """
 
     rotational: ClassVar[bool] = False

@@ -32,8 +32,8 @@ class AbstractCurvatureLaw(eqx.Module):
     ...         return jnp.arccos(cosine) / jnp.sqrt(1 - cosine**2)
     ...     def energy(self, cosine):
     ...         return jnp.arccos(cosine) ** 2 / 2
-    >>> print(Angle().energy(jnp.cos(0.2)).round(6))
-    0.02
+    >>> print(f"{Angle().energy(jnp.cos(0.2)):.6f}")
+    0.020000
     """
 
     @abc.abstractmethod
@@ -52,8 +52,8 @@ class CrossProductCurvature(AbstractCurvatureLaw):
     >>> import jax.numpy as jnp
     >>> from jaxbeads.force import CrossProductCurvature
     >>> law, turn = CrossProductCurvature(), jnp.pi / 6
-    >>> print((law.secant(jnp.cos(turn)) * jnp.sin(turn)).round(6), law.energy(jnp.cos(turn)).round(4))
-    0.5 0.134
+    >>> print(f"{law.secant(jnp.cos(turn)) * jnp.sin(turn):.4f} {law.energy(jnp.cos(turn)):.4f}")
+    0.5000 0.1340
     """
 
     def secant(self, cosine: Array) -> Array:
@@ -72,8 +72,8 @@ class SineRuleCurvature(AbstractCurvatureLaw):
     >>> import jax.numpy as jnp
     >>> from jaxbeads.force import SineRuleCurvature
     >>> law, turn = SineRuleCurvature(), jnp.pi / 3
-    >>> print((law.secant(jnp.cos(turn)) * jnp.sin(turn)).round(6))  # kappa 2a = 2 sin(phi/2)
-    1.0
+    >>> print(f"{law.secant(jnp.cos(turn)) * jnp.sin(turn):.6f}")  # kappa 2a = 2 sin(phi/2)
+    1.000000
     """
 
     def _half(self, cosine: Array) -> Array:

@@ -47,6 +47,12 @@ class View:
       the horizon. By default it looks from 20 degrees above, 25 degrees off the direction at right
       angles to where the beads are spread most.
     - `up`: direction that is up in space; by default away from the domain's plane, or z.
+
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.plot import View
+    >>> scene = jb.Scene(jb.Chain(1.0, 3), viscosity=1.0, domain=jb.NoSlipWall([0.0, 0.0], [0.0, 1.0]))
+    >>> print(View.of(scene).domain is scene.domain, View(plane=(0, 2)).plane)
+    True (0, 2)
     """
 
     co_moving: bool = False
