@@ -82,6 +82,9 @@ class AbstractHalfSpace(AbstractDomain):
 
     **Arguments**: `point`, any of the plane [length]; `normal`, of any length, into the fluid.
 
+    **Raises** `ValueError` for a zero normal, numbers that are not finite, and other shapes than
+    `(2,)` or `(3,)`.
+
     >>> import jax.numpy as jnp
     >>> from jaxbeads.domain import AbstractHalfSpace, NoSlipWall
     >>> wall = NoSlipWall([0.0, 1.0], [0.0, 2.0])
@@ -156,6 +159,8 @@ class NoSlipWall(AbstractHalfSpace):
     """A plane to which the fluid sticks, as of glass: `NoSlipWall([0, 0], [0, 1])` is the fluid above
     y = 0. Ambient flows must vanish at it.
 
+    **Arguments** and **Raises**: as for `AbstractHalfSpace`.
+
     >>> import jax.numpy as jnp
     >>> import jaxbeads as jb
     >>> wall = jb.NoSlipWall([0.0, 0.0], [0.0, 1.0])
@@ -175,6 +180,8 @@ class NoSlipWall(AbstractHalfSpace):
 class FreeSurface(AbstractHalfSpace):
     """A flat surface without friction, as of water under air, which nothing bends. Ambient flows must
     neither cross nor shear it.
+
+    **Arguments** and **Raises**: as for `AbstractHalfSpace`.
 
     >>> import jax.numpy as jnp
     >>> import jaxbeads as jb

@@ -64,7 +64,7 @@ def evaluate(t: Time, state: State, scene: Scene) -> Evaluation:
 
 
 def motion(t: Time, state: State, scene: Scene) -> Motion:
-    """Velocities and spins of all beads at one instant.
+    """Velocities [length/time] and spins [1/time] of all beads at one instant.
 
     >>> import jaxbeads as jb
     >>> gears, weight = jb.constraint.Gears(), jb.force.Weight([0.0, -1.0])
@@ -92,7 +92,7 @@ def multipliers(t: Time, state: State, scene: Scene) -> Array:
 
 
 def constraint_load(t: Time, state: State, scene: Scene) -> Load:
-    """Forces and torques of the constraints, J^T lambda, eq. (11).
+    """Forces and torques of the constraints, J^T lambda, eq. (11) [force, force length].
 
     >>> import jaxbeads as jb
     >>> hung = [jb.constraint.Inextensible(), *jb.constraint.hinged()]
@@ -107,7 +107,8 @@ def constraint_load(t: Time, state: State, scene: Scene) -> Load:
 
 
 def constraint_matrix(t: Time, state: State, scene: Scene) -> Float[Array, "rows rows"]:
-    """S = J M J^T in full (only needed to look at it: condition, rank).
+    """S = J M J^T in full, `(rows, rows)`, a row for each number of `slip` (only needed to look at it:
+    condition, rank).
 
     >>> import jaxbeads as jb
     >>> scene = jb.Scene(jb.Chain(radius=1.0, fibres=3), 1.0, constraints=[jb.constraint.Inextensible()])

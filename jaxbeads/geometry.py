@@ -15,7 +15,7 @@ _UNBOUNDED = Unbounded()
 
 
 def norm(vector: Float[Array, "*batch dim"]) -> Float[Array, "*batch"]:
-    """Length of vectors, with derivative 0 (not NaN) at the zero vector.
+    """Length of vectors `(..., dim)`, with derivative 0 (not NaN) at the zero vector.
 
     >>> import jax, jax.numpy as jnp
     >>> from jaxbeads.geometry import norm
@@ -28,7 +28,7 @@ def norm(vector: Float[Array, "*batch dim"]) -> Float[Array, "*batch"]:
 
 
 def unit(vector: Float[Array, "*batch dim"]) -> Float[Array, "*batch dim"]:
-    """Direction of vectors; the zero vector has direction zero.
+    """Direction of vectors `(..., dim)`; the zero vector has direction zero.
 
     >>> import jax.numpy as jnp
     >>> from jaxbeads.geometry import unit
@@ -56,7 +56,8 @@ def cross(a: Float[Array, "*batch dim"], b: Float[Array, "*batch dim"]) -> Array
 
 
 def normals(direction: Float[Array, "*batch dim"]) -> Float[Array, "*batch dim-1 dim"]:
-    """Unit vectors normal to unit vectors and to one another; in space, which ones is arbitrary.
+    """Unit vectors normal to unit vectors `(..., dim)` and to one another, `(..., dim - 1, dim)`; which
+    ones in space is arbitrary.
 
     >>> import jax.numpy as jnp
     >>> from jaxbeads.geometry import normals
@@ -74,7 +75,8 @@ def normals(direction: Float[Array, "*batch dim"]) -> Float[Array, "*batch dim-1
 
 
 def spin_cross(spin: Array, arm: Float[Array, "*batch dim"]) -> Float[Array, "*batch dim"]:
-    """w x r: velocity at `arm` from the centre of a bead that turns with `spin`.
+    """w x r: velocity [length/time] at `arm` [length] from the centre of a bead that turns with `spin`
+    [1/time], `(..., 1)` in the plane and `(..., 3)` in space.
 
     >>> import jax.numpy as jnp
     >>> from jaxbeads.geometry import spin_cross
@@ -123,7 +125,7 @@ def best_rotation(first: Any, last: Any, numpy: Any = jnp) -> Any:
 
 
 def bonds(position: Float[Array, "*batch beads dim"]) -> Float[Array, "*batch bonds dim"]:
-    """Vectors from each bead to the next, r_{i+1} - r_i.
+    """Vectors from each bead to the next, r_{i+1} - r_i, `(..., beads - 1, dim)` [length].
 
     >>> import jax.numpy as jnp
     >>> from jaxbeads.geometry import bonds
@@ -135,7 +137,7 @@ def bonds(position: Float[Array, "*batch beads dim"]) -> Float[Array, "*batch bo
 
 
 def tangents(position: Float[Array, "*batch beads dim"]) -> Float[Array, "*batch bonds dim"]:
-    """Unit vectors e_{i,i+1} from each bead to the next.
+    """Unit vectors e_{i,i+1} from each bead to the next, `(..., beads - 1, dim)`.
 
     >>> import jax.numpy as jnp
     >>> from jaxbeads.geometry import tangents
@@ -147,7 +149,7 @@ def tangents(position: Float[Array, "*batch beads dim"]) -> Float[Array, "*batch
 
 
 def bond_lengths(position: Float[Array, "*batch beads dim"]) -> Float[Array, "*batch bonds"]:
-    """Distances of neighbouring centres.
+    """Distances of neighbouring centres, `(..., beads - 1)` [length].
 
     >>> import jax.numpy as jnp
     >>> from jaxbeads.geometry import bond_lengths

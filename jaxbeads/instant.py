@@ -37,7 +37,7 @@ from .state import Load, Motion, State, add_loads, add_motions, zero_motion
 
 
 def applied_load(t: Time, state: State, scene: Scene) -> Load:
-    """Sum of the forces' loads, without those of the constraints.
+    """Sum of the forces' loads [force, force length], without those of the constraints.
 
     >>> import jaxbeads as jb
     >>> forces = [jb.force.Weight([0.0, -1.0]), jb.force.Follower(2.0)]
@@ -62,7 +62,7 @@ def _fluid(flow: AbstractFlow, t: Time, state: State, scene: Scene) -> tuple[Mot
 
 
 def fluid_motion(t: Time, state: State, scene: Scene) -> Motion:
-    """V_inf, the motion of the fluid as the beads feel it.
+    """V_inf, the motion of the fluid as the beads feel it [length/time, 1/time].
 
     >>> import jaxbeads as jb
     >>> scene = jb.Scene(jb.Chain(radius=1.0, fibres=3), 1.0, flow=jb.flow.Shear(1.0))
@@ -78,7 +78,7 @@ def fluid_motion(t: Time, state: State, scene: Scene) -> Motion:
 
 
 def ambient_motion(t: Time, state: State, scene: Scene) -> Motion | None:
-    """V_inf + C : E, the motion of beads without load; `None` without a flow.
+    """V_inf + C : E, the motion of beads without load [length/time, 1/time]; `None` without a flow.
 
     >>> import jaxbeads as jb
     >>> scene = jb.Scene(jb.Chain(radius=1.0, fibres=3), 1.0, flow=jb.flow.Shear(1.0))
@@ -94,7 +94,8 @@ def ambient_motion(t: Time, state: State, scene: Scene) -> Motion | None:
 
 
 def free_motion(t: Time, state: State, scene: Scene, operator: Product) -> Motion:
-    """Velocities and spins of the beads as if nothing held them, M F + V_inf + C : E.
+    """Velocities and spins of the beads as if nothing held them, M F + V_inf + C : E
+    [length/time, 1/time].
 
     **Arguments**: time, state and scene; M at that state, as `scene.operator(state)`.
 

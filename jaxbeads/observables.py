@@ -211,7 +211,7 @@ def orbit_period(ts: Any, position: Any) -> float:
 def bond_length_error(
     position: Float[Array, "*times beads dim"], chain: Chain
 ) -> Float[Array, "*times bonds"]:
-    """Relative error of each bond length; zero between fibres.
+    """Relative error of each bond length, `(*times, beads - 1)`; zero between fibres.
 
     >>> import jax.numpy as jnp
     >>> import jaxbeads as jb
@@ -228,12 +228,10 @@ def bond_length_error(
 def settling_velocity(t: Time, state: State, scene: Scene) -> Float[Array, " dim"]:
     """Mean velocity of the beads at one instant [length/time].
 
-    >>> import numpy as np
     >>> import jaxbeads as jb
-    >>> weight = jb.force.Weight([0.0, -6 * np.pi])
-    >>> scene = jb.Scene(jb.Chain(radius=1.0, fibres=1), viscosity=1.0, forces=[weight])
-    >>> print(jb.observables.settling_velocity(0.0, jb.State([[0.0, 0.0]]), scene).round(12))
-    [ 0. -1.]
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[jb.force.Weight([0.0, -6.0])])
+    >>> print(jb.observables.settling_velocity(0.0, jb.State([[0.0, 0.0]]), scene).round(4))  # 1/pi
+    [ 0.     -0.3183]
     """
     return jnp.mean(motion(t, state, scene).velocity, axis=0)
 
@@ -241,12 +239,11 @@ def settling_velocity(t: Time, state: State, scene: Scene) -> Float[Array, " dim
 def friction_coefficient(t: Time, state: State, scene: Scene, force: Any) -> Float[Array, ""]:
     """gamma = F / V for the total force F [force time/length], V the mean velocity along F.
 
-    >>> import numpy as np
     >>> import jaxbeads as jb
-    >>> scene = jb.Scene(jb.Chain(radius=1.0, fibres=1), 1.0, forces=[jb.force.Weight([0.0, -2.0])])
-    >>> gamma = jb.observables.friction_coefficient(0.0, jb.State([[0.0, 0.0]]), scene, [0.0, -2.0])
-    >>> print(f"{gamma / np.pi:.6f}")  # 6 pi mu a
-    6.000000
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[jb.force.Weight([0.0, -6.0])])
+    >>> gamma = jb.observables.friction_coefficient(0.0, jb.State([[0.0, 0.0]]), scene, [0.0, -6.0])
+    >>> print(f"{gamma:.4f}")  # 6 pi mu a
+    18.8496
     """
     force = jnp.asarray(force)
     size = jnp.max(jnp.abs(force))  # a square of the force itself may be too small
@@ -258,13 +255,10 @@ def power(t: Time, state: State, scene: Scene) -> Float[Array, ""]:
     """Work done on the fluid per time by all forces and torques, of the scene's terms and of its
     constraints: sum of F.v + T.w [force length/time]. In a quiescent fluid it is the dissipation.
 
-    >>> import numpy as np
     >>> import jaxbeads as jb
-    >>> weight = jb.force.Weight([0.0, -6 * np.pi])
-    >>> scene = jb.Scene(jb.Chain(radius=1.0, fibres=1), viscosity=1.0, forces=[weight])
-    >>> done = jb.observables.power(0.0, jb.State([[0.0, 0.0]]), scene)
-    >>> print(f"{done / np.pi:.6f}")  # F V = 6 pi mu a V^2
-    6.000000
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[jb.force.Weight([0.0, -6.0])])
+    >>> print(f"{jb.observables.power(0.0, jb.State([[0.0, 0.0]]), scene):.4f}")  # F^2/(6 pi mu a)
+    1.9099
     """
     found = evaluate(t, state, scene)
     moved, load = found.motion, handed_on(t, state, scene, found)
@@ -284,12 +278,12 @@ def pumping_rate(t: Time, state: State, scene: Scene, along: Any) -> Float[Array
     **Arguments**: time, state and scene; `along`, the direction d on the wall, of any length. The
     ambient flow does not count. **Raises** `ValueError` if the domain is no `NoSlipWall`.
 
-    >>> import numpy as np
     >>> import jaxbeads as jb
-    >>> push, wall = jb.force.Weight([np.pi, 0.0]), jb.NoSlipWall([0.0, 0.0], [0.0, 1.0])
-    >>> scene = jb.Scene(jb.Chain(radius=1.0, fibres=1), 1.0, forces=[push], domain=wall)
-    >>> print(f"{jb.observables.pumping_rate(0.0, jb.State([[0.0, 3.0]]), scene, [1.0, 0.0]):.6f}")
-    3.000000
+    >>> push, wall = jb.force.Weight([2.0, 0.0]), jb.NoSlipWall([0.0, 0.0], [0.0, 1.0])
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[push], domain=wall)
+    >>> rate = jb.observables.pumping_rate(0.0, jb.State([[0.0, 3.0]]), scene, [1.0, 0.0])
+    >>> print(f"{rate:.4f}")  # F h/(pi mu)
+    1.9099
     """
     if not isinstance(scene.domain, NoSlipWall):
         fail("scene.domain", "be a NoSlipWall", f"it is {type(scene.domain).__name__}")
@@ -363,15 +357,15 @@ def rigid_resistance(
     """Resistance of the beads moved as one rigid body about their mean position.
 
     The 6 x 6 matrix (3 x 3 in the plane) that maps (velocity, spin) to (force, torque): K^T M^-1 K,
-    where K gives each bead the body's velocity and spin.
+    where K gives each bead the body's velocity and spin; in units of [force time/length], with a length
+    more for each spin. **Arguments**: positions, `(beads, dim)` [length]; chain; mu; mobility.
 
-    >>> import numpy as np
     >>> import jaxbeads as jb
     >>> bead = jb.Chain(radius=1.0, fibres=1)
-    >>> print((jb.observables.rigid_resistance([[0.0, 0.0]], bead) / np.pi).round(9))  # 6 a, 6 a, 8 a^3
-    [[6. 0. 0.]
-     [0. 6. 0.]
-     [0. 0. 8.]]
+    >>> print(jb.observables.rigid_resistance([[0.0, 0.0]], bead).round(4))  # 6 pi, 6 pi, 8 pi
+    [[18.8496  0.      0.    ]
+     [ 0.     18.8496  0.    ]
+     [ 0.      0.     25.1327]]
     """
     return _resistance(jnp.asarray(position), chain, jnp.asarray(viscosity, float), mobility)
 

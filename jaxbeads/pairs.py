@@ -34,7 +34,7 @@ CROSS = {
 def separations(
     to: Float[Array, "to dim"], of: Float[Array, "of dim"]
 ) -> list[Float[Array, "to of"]]:
-    """r_i - r_j, one field for each component.
+    """r_i - r_j, one field `(to, of)` for each component, from positions `(to, dim)` and `(of, dim)`.
 
     >>> import jax.numpy as jnp
     >>> from jaxbeads.pairs import separations
@@ -49,7 +49,7 @@ def separations(
 
 
 def radii_of(to: Float[Array, "*to"], of: Float[Array, "*of"]) -> Radii:
-    """The radii of pairs.
+    """The radii of pairs: one for all beads, or those of two sets as a column and a row.
 
     >>> import jax.numpy as jnp
     >>> from jaxbeads.pairs import radii_of

@@ -13,6 +13,8 @@ class PlanarBeat(eqx.Module):
 
     **Arguments**: `amplitude` alpha_0 [rad]; `angular_frequency` zeta [1/time].
 
+    **Raises** `ValueError` for numbers that are not finite or of another shape.
+
     >>> import jax.numpy as jnp
     >>> from jaxbeads.actuation import PlanarBeat
     >>> print(PlanarBeat(amplitude=jnp.pi / 6, angular_frequency=1.0)(jnp.array(jnp.pi / 2)).round(4))
@@ -43,6 +45,8 @@ class HelicalBeat(eqx.Module):
 
     **Arguments**: `amplitude` alpha_0 [rad]; `angular_frequency` zeta [1/time]; `distance` R, 1 for a
     direction, delta of eq. (62) for the position of a bead off the axis [length].
+
+    **Raises** `ValueError` for numbers that are not finite or of another shape.
 
     >>> import jax.numpy as jnp
     >>> from jaxbeads.actuation import HelicalBeat

@@ -15,6 +15,8 @@ from .base import AbstractLinearFlow
 class Shear(AbstractLinearFlow):
     """Simple shear, u_x = rate y. **Argument** `rate`: shear rate [1/time].
 
+    **Raises** `ValueError` for numbers that are not finite or of another shape.
+
     >>> import jax.numpy as jnp
     >>> import jaxbeads as jb
     >>> from jaxbeads.flow import Shear
@@ -43,6 +45,8 @@ class OscillatingShear(AbstractLinearFlow):
 
     **Arguments** `rate` [1/time], `angular_frequency` [rad/time], `phase` [rad].
 
+    **Raises** `ValueError` for numbers that are not finite or of another shape.
+
     >>> import jax.numpy as jnp
     >>> from jaxbeads.flow import OscillatingShear
     >>> flow = OscillatingShear(rate=2.0, angular_frequency=jnp.pi)
@@ -70,6 +74,8 @@ class OscillatingShear(AbstractLinearFlow):
 
 class Extension(AbstractLinearFlow):
     """Planar extension, u = rate (x, -y). **Argument** `rate` [1/time].
+
+    **Raises** `ValueError` for numbers that are not finite or of another shape.
 
     >>> import jax.numpy as jnp
     >>> from jaxbeads.flow import Extension

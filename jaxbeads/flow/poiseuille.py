@@ -18,6 +18,8 @@ class Poiseuille(AbstractFlow):
 
     **Arguments** `speed` on the centre line [length/time], `half_width` [length], positive.
 
+    **Raises** `ValueError` for a half width that is not positive, and numbers that are not finite.
+
     >>> import jax.numpy as jnp
     >>> from jaxbeads.flow import Poiseuille
     >>> flow = Poiseuille(speed=2.0, half_width=10.0)

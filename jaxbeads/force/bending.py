@@ -237,6 +237,8 @@ class BendingEnergy(AbstractPotential):
     for each joint or a function that returns these (in space it acts on the unsigned angle and leaves
     a straight joint straight).
 
+    **Raises** `ValueError` as `Bending`, and for a curvature at rest given as vectors.
+
     >>> import jax.numpy as jnp
     >>> import jaxbeads as jb
     >>> from jaxbeads.force import BendingEnergy

@@ -72,6 +72,8 @@ def movies(
 ) -> list[Path]:
     """The same movie in several files, as a gif and an mp4. Arguments as for `movie`.
 
+    **Returns** the paths. **Raises** as `movie`.
+
     >>> import jaxbeads as jb, jaxbeads.plot
     >>> scene = jb.Scene(jb.Chain(1.0, 3), viscosity=1.0, forces=[jb.force.Weight([0.0, -6.0])])
     >>> fall = jb.rollout(scene, jb.straight(scene.chain, [1.0, 0.0]), [0.0, 1.0, 2.0], substeps=1)

@@ -68,6 +68,8 @@ def planar_beating(
     **Arguments**: number of beads (at least 4); sperm number Sp, eq. (58), with gamma the normal
     friction of the rigid straight chain; alpha_0 [rad]; a [length]; mu.
 
+    **Raises** `ValueError` for too few beads and numbers that are out of range.
+
     >>> from jaxbeads import dynamics, scenes
     >>> for constraint in scenes.planar_beating(beads=4).scene.constraints:
     ...     print(dynamics.named(constraint))
@@ -171,6 +173,8 @@ def helical_beating(
 
     **Arguments**: number of beads (at least 4); sperm number, as for `planar_beating`; alpha_0 [rad];
     delta over a; a [length]; mu.
+
+    **Raises** `ValueError` for too few beads and numbers that are out of range.
 
     >>> from jaxbeads import scenes
     >>> case = scenes.helical_beating(beads=4)

@@ -90,6 +90,8 @@ def cilium(
     the normal friction of the rigid straight chain far from walls: small values follow the preferred
     shape, large ones hardly move; swing of the preferred beat [rad]; a [length]; mu.
 
+    **Raises** `ValueError` for too few beads and numbers that are out of range.
+
     >>> from jaxbeads import scenes
     >>> case = scenes.cilium(beads=4)
     >>> print(case.scene.domain.direction, len(case.scene.constraints), len(case.scene.forces))
@@ -182,6 +184,8 @@ def cilia_row(
 
     **Arguments**: number of cilia; number of beads of each (at least 4); distance of neighbours over
     L; lag over the period; sperm number, swing, a and mu as for `cilium`.
+
+    **Raises** `ValueError` for too few beads and numbers that are out of range.
 
     >>> from jaxbeads import scenes
     >>> case = scenes.cilia_row(cilia=2, beads=4, spacing=1.5)

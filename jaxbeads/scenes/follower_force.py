@@ -36,6 +36,8 @@ def follower_force(
     **Arguments**: number of beads (at least 5); force as P L^2/K_b, L = 2 a N; `hinged`: the first
     bead is held but free to turn; mobility; a [length]; mu; K_b; slope of the start's bend [rad].
 
+    **Raises** `ValueError` for too few beads and numbers that are out of range.
+
     >>> from jaxbeads import scenes
     >>> case = scenes.follower_force(beads=5, force=60.0)
     >>> follower = next(f for f in case.scene.forces if type(f).__name__ == "Follower")

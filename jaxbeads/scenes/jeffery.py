@@ -32,6 +32,8 @@ def jeffery(
 
     **Arguments**: number of beads (at least 2); bead model; a [length]; mu; shear rate.
 
+    **Raises** `ValueError` for too few beads and numbers that are out of range.
+
     >>> from jaxbeads import scenes
     >>> case = scenes.jeffery(beads=3, shear_rate=2.0)
     >>> print(case.scene.flow.rate, [type(c).__name__ for c in case.scene.constraints])

@@ -57,6 +57,8 @@ def nematode(beads: int = 15, *, radius: float = 1.0, viscosity: float = 1.0) ->
 
     **Arguments**: number of beads (at least 4); a [length]; mu.
 
+    **Raises** `ValueError` for too few beads.
+
     >>> from jaxbeads import scenes
     >>> case = scenes.nematode(beads=4)
     >>> print(case.ts[1], type(case.scene.forces[0]).__name__)  # forty times in a period
@@ -118,6 +120,8 @@ def nematode_pair(
 
     **Arguments**: number of beads of each; distance of the two axes over L; whether their waves are
     half a period apart; a [length]; mu.
+
+    **Raises** `ValueError` for too few beads and numbers that are out of range.
 
     >>> from jaxbeads import scenes
     >>> case = scenes.nematode_pair(beads=4, distance=1.0)

@@ -46,6 +46,8 @@ def settling(
     bead model (the paper compares 34 beads of Gears with 31 of Joint, equally long); a [length];
     mu; weight of a bead [force]; `perturbation` [rad].
 
+    **Raises** `ValueError` for too few beads and numbers that are out of range.
+
     >>> from jaxbeads import scenes
     >>> case = scenes.settling(beads=4, elasto_gravitational=1000.0)
     >>> print([float(f.rigidity) for f in case.scene.forces if hasattr(f, "rigidity")])  # 4 * 8^2 / B
@@ -83,7 +85,7 @@ def settling(
 
 
 def settling_friction(scene: Scene) -> Array:
-    """gamma_0, friction coefficient of the rigid straight fibre across its axis.
+    """gamma_0, friction coefficient of the rigid straight fibre across its axis [force time/length].
 
     >>> from jaxbeads import scenes
     >>> gamma = scenes.settling_friction(scenes.settling(beads=4).scene)

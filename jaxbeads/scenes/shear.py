@@ -33,6 +33,8 @@ def shear(
     intrinsic curvature times length, kappa_eq L (0: straight at rest, an S shape); bead model; a
     [length]; mu; shear rate.
 
+    **Raises** `ValueError` for too few beads and numbers that are out of range.
+
     >>> from jaxbeads import scenes
     >>> from jaxbeads.dimensionless import bending_ratio
     >>> case = scenes.shear(beads=4, bending_ratio=0.04)

@@ -53,6 +53,8 @@ def three_sphere(
     **Arguments**: mean arm length D over a (arms must not let spheres touch); stroke over D; phase
     of the second arm behind the first [rad]; a [length]; mu.
 
+    **Raises** `ValueError` for spheres that would touch and numbers that are not positive.
+
     >>> from jaxbeads import scenes
     >>> case = scenes.three_sphere(separation=10.0, stroke=0.1)
     >>> print(case.state.position[:, 0].round(6), case.ts[-1])

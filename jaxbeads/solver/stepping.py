@@ -42,8 +42,8 @@ _TERM = diffrax.ODETerm(_vector_field)
 
 @eqx.filter_jit
 def explicit_step(scene: Scene) -> Float[Array, ""]:
-    """Time step for explicit solvers: the smallest that a force asks for. With `Bending` the paper's
-    mu (2a)^4 / K_b, eq. (39), for the smallest radius and the largest rigidity; infinite without
+    """Time step for explicit solvers [time]: the smallest that a force asks for. With `Bending` the
+    paper's mu (2a)^4 / K_b, eq. (39), for the smallest radius and the largest rigidity; infinite without
     stiff forces.
 
     >>> import jaxbeads as jb

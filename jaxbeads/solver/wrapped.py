@@ -28,6 +28,9 @@ class Diffrax(AbstractSolver):
 
     **Arguments**: `wrapped`, the solver; options as for `AbstractSolver`.
 
+    **Raises** `ValueError` for an implicit solver without a `controller`, from which its root finder
+    takes its tolerances, and as `AbstractSolver`.
+
     >>> import diffrax
     >>> from jaxbeads.solver import Diffrax
     >>> solver = Diffrax(diffrax.Tsit5(), tolerance=1e-8)
