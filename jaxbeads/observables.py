@@ -120,8 +120,7 @@ def end_to_end_distance(
     """Distance of the first and the last bead's centres [length]: of each fibre of the `chain`, shape
     `(*times, fibres)`, or, without one, of all beads taken as one fibre, `times`.
 
-    >>> import jax.numpy as jnp
-    >>> import jaxbeads as jb
+    >>> import jax.numpy as jnp, jaxbeads as jb
     >>> from jaxbeads.observables import end_to_end_distance
     >>> position = jnp.array([[0.0, 0.0], [2.0, 0.0], [0.0, 3.0], [2.0, 3.0]])
     >>> print(f"{end_to_end_distance(position):.4f}")
@@ -213,8 +212,7 @@ def bond_length_error(
 ) -> Float[Array, "*times bonds"]:
     """Relative error of each bond length, `(*times, beads - 1)`; zero between fibres.
 
-    >>> import jax.numpy as jnp
-    >>> import jaxbeads as jb
+    >>> import jax.numpy as jnp, jaxbeads as jb
     >>> from jaxbeads.observables import bond_length_error
     >>> position = jnp.array([[0.0, 0.0], [2.0, 0.0], [4.02, 0.0]])
     >>> print(bond_length_error(position, jb.Chain(radius=1.0, fibres=3)).round(6))

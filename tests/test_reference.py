@@ -17,16 +17,22 @@ from jaxbeads._compat import forget_cache
 
 ROOT = Path(__file__).parents[1]
 PAGES = ROOT / ".ci" / "pages.py"
-MODULES = {module.__name__: module for module in runpy.run_path(str(PAGES))["modules"]()}
+LISTS = runpy.run_path(str(PAGES))
+MODULES = {module.__name__: module for module in LISTS["modules"]()}
 PARSER = doctest.DocTestParser()
+
+
+def own_text(thing):
+    """A docstring, not that of a base class."""
+    return inspect.cleandoc(thing.__doc__ or "")
 
 
 def public():
     """By module, what its public names stand for: functions and classes, each once. The package comes
     last, which hands on what is elsewhere."""
-    names, seen = runpy.run_path(str(PAGES))["names"], set()
+    seen = set()
     for title, module in sorted(MODULES.items(), reverse=True):
-        things = {name: getattr(module, name) for name in names(module)}
+        things = {name: getattr(module, name) for name in LISTS["names"](module)}
         new = {n: x for n, x in things.items() if callable(x) and id(x) not in seen}
         seen |= {id(x) for x in new.values()}
         yield title, new
@@ -55,7 +61,7 @@ def test_every_name_has_an_example_that_runs(title, tmp_path, monkeypatch, cache
     monkeypatch.chdir(tmp_path)
     runner, said = doctest.DocTestRunner(verbose=False), io.StringIO()
     for name, thing in PUBLIC[title].items():
-        text = inspect.getdoc(thing) or ""
+        text = own_text(thing)
         assert text.partition(">>>")[0].strip(), f"{title}.{name} has no docstring"
         example = PARSER.get_doctest(text, {}, f"{title}.{name}", None, None)
         assert example.examples, f"{title}.{name} has no example"
@@ -66,8 +72,19 @@ def test_every_name_has_an_example_that_runs(title, tmp_path, monkeypatch, cache
 def test_every_example_is_run():
     """None is where it is not looked for, as in a module or a method."""
     written = sum(p.read_text().count(">>> ") for p in Path(jaxbeads.__file__).parent.rglob("*.py"))
-    texts = [inspect.getdoc(thing) or "" for new in PUBLIC.values() for thing in new.values()]
+    texts = [own_text(thing) for new in PUBLIC.values() for thing in new.values()]
     assert written == sum(len(PARSER.get_examples(text)) for text in texts)
+
+
+def test_what_docstrings_refer_to_is_there():
+    """Names of public modules, as `observables.power`."""
+    files = Path(jaxbeads.__file__).parent.rglob("*.py")
+    text = " ".join(path.read_text() for path in files)
+    named = re.findall(r"`((?:jaxbeads\.)?[a-z_]+)\.(\w+)`", text)
+    found = {(f"jaxbeads.{m.removeprefix('jaxbeads.')}", name) for m, name in named}
+    found = {(m, name) for m, name in found if m in MODULES}
+    assert len(found) > 5
+    assert not [pair for pair in found if not hasattr(MODULES[pair[0]], pair[1])]
 
 
 def test_pages(tmp_path):
