@@ -71,7 +71,8 @@ def build(folder: Path) -> None:
 
     package, *others = modules()
     shown = {module: names(module) for module in (package, *others)}
-    shown[package] = [name for name in shown[package] if getattr(package, name) not in others]
+    flat = [name for name in shown[package] if not isinstance(getattr(package, name), ModuleType)]
+    shown[package] = sorted(flat, key=str.lower)
     inner = [module.__name__.removeprefix(f"{PACKAGE}.") for module in others]
     for module, listed in shown.items():  # `pdoc` keeps to it, and to its order
         module.__all__ = [*inner, *listed] if module is package else listed

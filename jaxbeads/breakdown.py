@@ -33,7 +33,8 @@ class Cause:
 
 
 class SimulationError(RuntimeError):
-    """A run that broke down. `cause` says where and why; `solution` ends with the last good state.
+    """A run that broke down. `cause` says where and why: `step`, `time`, `bead`, `term` and `message`;
+    `solution` ends with the last good state.
 
     >>> import jax.numpy as jnp
     >>> import jaxbeads as jb
