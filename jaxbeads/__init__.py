@@ -2,7 +2,8 @@
 
 Pure functions of equinox Modules that only hold parameters: build a `Scene`, give it a `State`, and
 `rollout` (pure) or `simulate` (with progress, files and checks). Method: Delmotte, Climent &
-Plouraboué, J. Comput. Phys. 286 (2015) 14-37.
+Plouraboué, J. Comput. Phys. 286 (2015) 14-37. Equations are numbered as there; dimensions stand in
+brackets. Examples take 64-bit numbers, `jax.config.update("jax_enable_x64", True)`.
 """
 
 from importlib import metadata as _metadata

@@ -213,7 +213,8 @@ def _number(value: Any) -> float | None:
 
 def main(words: list[str] | None = None) -> int:
     """Run the shell command; returns its exit code: 0; 1 for what is refused or breaks down, which is
-    said in one sentence; 130 after Ctrl-C; 141 if nobody reads what it prints, as after `| head`."""
+    said in one sentence; 130 after Ctrl-C; 141 if nobody reads what it prints, as after `| head`.
+    """
     try:
         try:
             return _main(words)

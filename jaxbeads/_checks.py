@@ -114,7 +114,8 @@ def index(name: str, value: int, number: int) -> None:
 
 def said(value: Any) -> str:
     """A term, or a number of one, in a few words: its class, and its numbers where they are few and
-    known, as `Weight(force=[0 -1])`."""
+    known, as `Weight(force=[0 -1])`.
+    """
     if isinstance(value, eqx.Module):
         shown = ((f.name, getattr(value, f.name, None)) for f in dataclasses.fields(value))
         parts = [f"{name}={said(part)}" for name, part in shown if part is not None]

@@ -245,7 +245,8 @@ _sync = _borrowed(
 
 def over_devices(function: Callable[[Any], Any], mesh: Mesh, spec: PartitionSpec) -> Any:
     """The compiled function of arrays that are spread over a row of devices, applied on each to its own
-    part; results come in the order of the devices."""
+    part; results come in the order of the devices.
+    """
     if _shard_map is not None:
         return jax.jit(
             _shard_map(function, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)

@@ -27,7 +27,8 @@ Shape = tuple[int, ...]
 
 class Parts(eqx.Module):
     """A function, as a neural network, with leaves that are no numbers, as its activation: these become
-    part of the structure. The leaves are those of `numbers`."""
+    part of the structure. The leaves are those of `numbers`.
+    """
 
     numbers: Any
     others: Any = eqx.field(static=True)
@@ -121,7 +122,8 @@ def curvature_of(
 
 def along(name: str, value: Any, joints: int, dim: int, dtype: Any) -> None:
     """Numbers along a fibre, or a function of time, arclength and length that returns them; as vectors
-    where `dim` is 3."""
+    where `dim` is 3.
+    """
     if callable(value):
         t, s = jnp.zeros((), dtype), jnp.zeros(joints, dtype)
         trial(lambda t, s: curvature_of(name, value, t, s, s, dim), t, s)

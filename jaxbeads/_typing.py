@@ -36,7 +36,8 @@ def with_all_digits(function: Callable[P, R]) -> Callable[P, R]:
     """A function whose matrix products have the precision of their numbers on every device. Without it
     accelerators round float32 to 10 bits in them.
 
-    It goes around `filter_jit`, not into it: JAX traces once for each precision that is set outside."""
+    It goes around `filter_jit`, not into it: JAX traces once for each precision that is set outside.
+    """
 
     @functools.wraps(function)
     def precise(*args: P.args, **kwargs: P.kwargs) -> R:

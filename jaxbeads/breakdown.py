@@ -33,7 +33,19 @@ class Cause:
 
 
 class SimulationError(RuntimeError):
-    """A run that broke down. `cause` says where and why; `solution` ends with the last good state."""
+    """A run that broke down. `cause` says where and why: `step`, `time`, `bead`, `term` and `message`;
+    `solution` ends with the last good state.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> push = jb.force.ForceField(lambda t, r: jnp.log(1.5 - t) * jnp.ones_like(r))
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[push])
+    >>> try:
+    ...     jb.simulate(scene, jb.State([[0.0, 0.0]]), [0.0, 1.0, 2.0], substeps=1, progress=False)
+    ... except jb.SimulationError as error:
+    ...     print(error.cause.term, error.solution.ts)
+    ForceField [0. 1.]
+    """
 
     def __init__(self, cause: Cause, solution: Solution) -> None:
         super().__init__(cause.message)
@@ -66,7 +78,8 @@ def _size(load: Load) -> float:
 
 def guilty_term(t: float, state: State, scene: Scene, derivatives: bool = False) -> Fault:
     """The term that fails at this state, or whose load is largest, and how it fails; `derivatives`:
-    whether they are needed."""
+    whether they are needed.
+    """
     if (fault := not_finite(t, state, scene)) is not None:
         return fault
     if (how := redundancy(t, state, scene)) is not None:
@@ -105,7 +118,8 @@ def explain(
     derivatives: bool = False,
 ) -> Cause:
     """The cause from the last good state, at time t, and what the step from there made of it (or, if
-    there is no such state, `what` happened); `derivatives`: whether the step needed them."""
+    there is no such state, `what` happened); `derivatives`: whether the step needed them.
+    """
     what = what or f"the motion is not finite{in_single(good.position.dtype)}"
     term, how, bead, derivative = guilty_term(t, good, scene, derivatives)
     if derivative:
@@ -185,7 +199,8 @@ def locate(
     bond_tolerance: float,
 ) -> Cause:
     """Why the run broke down in the interval from t0 (`carry`) to t1 (`after`). Equal steps are taken
-    again, one by one, to see where."""
+    again, one by one, to see where.
+    """
     if not isinstance(stepper, FixedSteps):
         if int(after.code) != Outcome.FINE:
             return _given_up(stepper, scene, after, t0, t1)

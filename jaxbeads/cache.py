@@ -19,6 +19,10 @@ def enable_cache(folder: str | os.PathLike[str] | None = None) -> Path:
     **Argument**: where programs are kept; by default where JAX keeps them if it is told already
     (`JAX_COMPILATION_CACHE_DIR`), otherwise `jaxbeads` in the user's cache folder (`XDG_CACHE_HOME` or
     `~/.cache`). **Returns** the folder. **Raises** `ValueError` if it cannot be made.
+
+    >>> import jaxbeads as jb
+    >>> print(jb.enable_cache("programs").name)
+    programs
     """
     if folder is None:
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"

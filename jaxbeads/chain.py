@@ -30,6 +30,11 @@ class Chain(eqx.Module):
 
     **Raises** `ValueError` for a radius that is not positive or does not fit the number of beads, and
     for a negative gap.
+
+    >>> import jaxbeads as jb
+    >>> chain = jb.Chain(radius=1.0, fibres=[3, 2])
+    >>> print(chain.beads, chain.length, chain.bond_length, chain.bond_mask)
+    5 [6. 4.] [2. 2. 2. 2.] [ True  True False  True]
     """
 
     radius: Float[Array, ""] | Float[Array, " beads"] = eqx.field(converter=float_array)
@@ -71,7 +76,8 @@ class Chain(eqx.Module):
     @property
     def last_beads(self) -> tuple[int, ...]:
         """Index of the last bead of each fibre, counted from the last of all as -1 (and so that of the
-        bond before it)."""
+        bond before it).
+        """
         return tuple(int(n) - self.beads - 1 for n in np.cumsum(self.fibres))
 
     @property
@@ -156,6 +162,13 @@ def from_tangents(chain: Chain, tangents: Any, centre: Any = None) -> Float[Arra
 
     **Returns** positions, shape `(beads, dim)`. **Raises** `ValueError` for shapes that do not fit
     and for a zero tangent.
+
+    >>> import jaxbeads as jb
+    >>> chain = jb.Chain(radius=1.0, fibres=3)
+    >>> print(jb.from_tangents(chain, [[1.0, 0.0], [0.0, 1.0]], centre=[0.0, 0.0]).round(4))
+    [[-1.3333 -0.6667]
+     [ 0.6667 -0.6667]
+     [ 0.6667  1.3333]]
     """
     tangents = float_array(tangents)
     if (
@@ -193,6 +206,14 @@ def from_directors(chain: Chain, directors: Any, centre: Any = None) -> State:
 
     **Returns** positions and directors. **Raises** `ValueError` for shapes that do not fit and for a
     zero director.
+
+    >>> import jaxbeads as jb
+    >>> chain = jb.Chain(radius=1.0, fibres=2, gap=0.1)
+    >>> state = jb.from_directors(chain, [[1.0, 0.0], [0.0, 1.0]])
+    >>> print(state.position, state.director)
+    [[-0.55 -0.55]
+     [ 0.55  0.55]] [[1. 0.]
+     [0. 1.]]
     """
     directors = float_array(directors)
     shape("directors", directors, (chain.beads, 2), (chain.beads, 3))
@@ -225,7 +246,8 @@ def place(
     weights: Float[Array, "fibres beads"] | None = None,
 ) -> Float[Array, "beads dim"]:
     """Positions from the vectors between neighbours (those between fibres are not used) and one
-    point for each fibre, without checks: its centre, or the weighted mean of its beads."""
+    point for each fibre, without checks: its centre, or the weighted mean of its beads.
+    """
     step = bonds * chain.bond_mask[:, None]
     position = jnp.pad(jnp.cumsum(step, axis=0), ((1, 0), (0, 0)))
     present = chain.centres(position) if weights is None else weights @ position
@@ -242,6 +264,12 @@ def straight(chain: Chain, direction: Any, centre: Any = None) -> State:
     - `centre`: as in `from_tangents`.
 
     **Raises** `ValueError` for a zero direction or shapes that do not fit.
+
+    >>> import jaxbeads as jb
+    >>> print(jb.straight(jb.Chain(radius=1.0, fibres=3), direction=[0.0, 5.0]).position)
+    [[ 0. -2.]
+     [ 0.  0.]
+     [ 0.  2.]]
     """
     direction = float_array(direction)
     fibres = len(chain.fibres)

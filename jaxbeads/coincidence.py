@@ -20,7 +20,8 @@ def coincidence(state: State, chain: Chain, *, oriented: bool = False) -> str | 
 
 def overlaid(state: State, chain: Chain, *, oriented: bool = False) -> str | None:
     """As `coincidence`, of whole bonds only: two neighbours in the places of two others (or of one
-    another's other neighbour). No chain constraint can tell these bonds apart."""
+    another's other neighbour). No chain constraint can tell these bonds apart.
+    """
     place, bonds = _places(state, chain, oriented), np.flatnonzero(chain.bond_mask)
     ends = np.sort(np.stack([place[bonds], place[bonds + 1]], axis=1), axis=1)
     _, which = np.unique(ends, axis=0, return_inverse=True)

@@ -23,6 +23,11 @@ class Configuration(eqx.Module):
     - `viscosity`: mu [force time/length^2].
     - `rotational`: whether spins and torques take part.
     - `domain`: the space that they are in.
+
+    >>> import jaxbeads as jb
+    >>> beads = jb.Configuration([[0.0, 0.0], [3.0, 0.0]], radius=[1.0, 2.0], viscosity=1.0)
+    >>> print(beads.beads, beads.dim, beads.scaled.length)
+    2 2 2.0
     """
 
     position: Float[Array, "beads dim"] = eqx.field(converter=float_array)
@@ -55,7 +60,8 @@ class Configuration(eqx.Module):
     @property
     def scaled(self) -> "Scaled":
         """Lengths in units of the radius, or of the largest one: on that no result depends, nor does a
-        derivative."""
+        derivative.
+        """
         position, radius = self.position, self.radius
         if radius.ndim == 0:
             return Scaled(radius, position / radius, None, self.domain)

@@ -192,7 +192,8 @@ def _installed(function: Any) -> bool:
 
 def _telling(value: Any) -> bool:
     """Whether what a function reads decides on its numbers and can be looked at: modules, classes and
-    functions of packages are in its code by name; of other objects nothing is known."""
+    functions of packages are in its code by name; of other objects nothing is known.
+    """
     if isinstance(value, types.FunctionType):  # one of a package, as of jax.vmap, may hold another
         return not _installed(value) or value.__closure__ is not None
     if isinstance(value, (functools.partial, types.MethodType)):

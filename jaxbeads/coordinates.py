@@ -19,7 +19,8 @@ from .state import State
 
 class AbstractCoordinates(eqx.Module):
     """A chart x -> state with x = 0 at its start; see `coordinates`. The numbers are points (of all
-    beads, or one of each fibre), turns of directions, and what the state carries beside them."""
+    beads, or one of each fibre), turns of directions, and what the state carries beside them.
+    """
 
     start: eqx.AbstractVar[State]
     """The state at x = 0."""
@@ -235,7 +236,8 @@ def coordinates(scene: Scene, state: State) -> AbstractCoordinates:
 
 def tidied(scene: Scene, state: State) -> State:
     """The state without what time stepping has added to what it carries. A chain constraint that is made
-    of directors looks after them itself."""
+    of directors looks after them itself.
+    """
     chained = (c for c in scene.constraints if isinstance(c, AbstractChainConstraint))
     besides = ("director",) if any(c.oriented for c in chained) else ()
     return carried.tidied(state, scene.chain, besides)
@@ -243,5 +245,6 @@ def tidied(scene: Scene, state: State) -> State:
 
 def project(scene: Scene, state: State) -> State:
     """Bond lengths restored by the scene's chain constraint; directions are kept, and the place of each
-    fibre's centre or held bead."""
+    fibre's centre or held bead.
+    """
     return coordinates(scene, tidied(scene, state)).start

@@ -23,7 +23,17 @@ SYMMETRIES = frozenset({"translation", "rotation", "reflection"})
 
 
 class AbstractDomain(eqx.Module):
-    """The space that fluid and beads are in. What is not said here is as in an unbounded fluid."""
+    """The space that fluid and beads are in. What is not said here is as in an unbounded fluid.
+
+    >>> import numpy as np
+    >>> from jaxbeads.domain import AbstractDomain
+    >>> class Channel(AbstractDomain):  # the same again every ten lengths along x
+    ...     def nearest(self, separation, unit):
+    ...         x, *others = separation
+    ...         return [x - (10.0 / unit) * (unit * x / 10.0).round(), *others]
+    >>> print(Channel().nearest([np.array(9.0), np.array(3.0)], 1.0)[0])
+    -1.0
+    """
 
     symmetries: ClassVar[frozenset[str]] = SYMMETRIES
     """Those of `SYMMETRIES` that the domain has."""
@@ -49,12 +59,18 @@ class AbstractDomain(eqx.Module):
         self, position: Float[Array, "beads dim"], radius: Float[Array, "*beads"]
     ) -> Float[Array, " beads"] | None:
         """Distance of each bead's surface from the boundary, negative outside [length]; `None` without a
-        boundary."""
+        boundary.
+        """
         return None
 
 
 class Unbounded(AbstractDomain):
-    """All of space."""
+    """All of space.
+
+    >>> import jaxbeads as jb
+    >>> print(jb.Scene(jb.Chain(radius=1.0, fibres=3), viscosity=1.0).domain)
+    Unbounded()
+    """
 
     def nearest(self, separation: Sequence[Any], unit: Any) -> Sequence[Any]:
         """The separation itself."""
@@ -65,6 +81,15 @@ class AbstractHalfSpace(AbstractDomain):
     """The fluid on one side of a plane.
 
     **Arguments**: `point`, any of the plane [length]; `normal`, of any length, into the fluid.
+
+    **Raises** `ValueError` for a zero normal, numbers that are not finite, and other shapes than
+    `(2,)` or `(3,)`.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.domain import AbstractHalfSpace, NoSlipWall
+    >>> wall = NoSlipWall([0.0, 1.0], [0.0, 2.0])
+    >>> print(isinstance(wall, AbstractHalfSpace), wall.direction, wall.height(jnp.array([[5.0, 4.0]])))
+    True [0. 1.] [3.]
     """
 
     symmetries: ClassVar[frozenset[str]] = frozenset()
@@ -111,7 +136,8 @@ def _refuse_flow(
     plane: AbstractHalfSpace, name: str, slips: Callable[[Array, Array], Array]
 ) -> None:
     """Refuse a flow of which something does not vanish at some points of a plane, for some time, as it
-    does not one unit of length above them."""
+    does not one unit of length above them.
+    """
     if not known((plane.point, plane.normal)):
         return
     normal = plane.direction
@@ -131,7 +157,20 @@ def _refuse_flow(
 
 class NoSlipWall(AbstractHalfSpace):
     """A plane to which the fluid sticks, as of glass: `NoSlipWall([0, 0], [0, 1])` is the fluid above
-    y = 0. Ambient flows must vanish at it."""
+    y = 0. Ambient flows must vanish at it.
+
+    **Arguments** and **Raises**: as for `AbstractHalfSpace`.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> wall = jb.NoSlipWall([0.0, 0.0], [0.0, 1.0])
+    >>> beads = jb.Configuration([[0.0, 2.0]], radius=1.0, viscosity=1.0, domain=wall)
+    >>> free = jb.Configuration([[0.0, 2.0]], radius=1.0, viscosity=1.0)
+    >>> load, rpy = jb.Load(force=jnp.array([[1.0, 0.0]])), jb.mobility.RPY()
+    >>> slowed = rpy.motion(beads, load).velocity[0, 0] / rpy.motion(free, load).velocity[0, 0]
+    >>> print(f"{slowed:.4f}")  # 1 - (9/16) a/h + (1/8) (a/h)^3 - (1/16) (a/h)^5
+    0.7324
+    """
 
     def check_flow(self, name: str, velocity: Callable[[Array, Array], Array], dim: int) -> None:
         """Refuse a flow that does not vanish at the wall."""
@@ -140,7 +179,16 @@ class NoSlipWall(AbstractHalfSpace):
 
 class FreeSurface(AbstractHalfSpace):
     """A flat surface without friction, as of water under air, which nothing bends. Ambient flows must
-    neither cross nor shear it."""
+    neither cross nor shear it.
+
+    **Arguments** and **Raises**: as for `AbstractHalfSpace`.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> surface = jb.FreeSurface([0.0, 0.0], [0.0, -1.0])  # water below, air above
+    >>> print(surface.clearance(jnp.array([[0.0, -3.0]]), jnp.array(1.0)))
+    [2.]
+    """
 
     def check_flow(self, name: str, velocity: Callable[[Array, Array], Array], dim: int) -> None:
         """Refuse a flow with a velocity across the surface, or a shear stress at it."""

@@ -52,27 +52,70 @@ def evaluate(t: Time, state: State, scene: Scene) -> Evaluation:
 
     **Arguments**: time; `State`; `Scene`. **Returns** an `Evaluation`; its numbers are NaN if S is
     singular to rounding (redundant or contradictory constraints, see `redundancy`).
+
+    >>> import jaxbeads as jb
+    >>> gears, weight = jb.constraint.Gears(), jb.force.Weight([0.0, -1.0])
+    >>> scene = jb.Scene(jb.Chain(radius=1.0, fibres=3), 1.0, constraints=[gears], forces=[weight])
+    >>> now = jb.dynamics.evaluate(0.0, jb.straight(scene.chain, [1.0, 0.0]), scene)
+    >>> print(now.motion.velocity[:, 1].round(5), now.multipliers.shape)
+    [-0.08672 -0.09927 -0.08672] (4,)
     """
     return evaluation(jnp.asarray(t), state, scene, None)
 
 
 def motion(t: Time, state: State, scene: Scene) -> Motion:
-    """Velocities and spins of all beads at one instant."""
+    """Velocities [length/time] and spins [1/time] of all beads at one instant.
+
+    >>> import jaxbeads as jb
+    >>> gears, weight = jb.constraint.Gears(), jb.force.Weight([0.0, -1.0])
+    >>> scene = jb.Scene(jb.Chain(radius=1.0, fibres=3), 1.0, constraints=[gears], forces=[weight])
+    >>> along = jb.dynamics.motion(0.0, jb.straight(scene.chain, [0.0, 1.0]), scene)
+    >>> print(along.velocity[:, 1].round(5))
+    [-0.10707 -0.10707 -0.10707]
+    """
     return evaluate(t, state, scene).motion
 
 
 def multipliers(t: Time, state: State, scene: Scene) -> Array:
-    """Lagrange multipliers lambda of all constraints, raveled one after the other [force]."""
+    """Lagrange multipliers lambda of all constraints, raveled one after the other [force].
+
+    >>> import jaxbeads as jb
+    >>> hung = [jb.constraint.Inextensible(), *jb.constraint.hinged()]
+    >>> scene = jb.Scene(
+    ...     jb.Chain(radius=1.0, fibres=3), 1.0, constraints=hung, forces=[jb.force.Weight([0.0, -1.0])]
+    ... )
+    >>> down = jb.straight(scene.chain, [0.0, -1.0])
+    >>> print(jb.dynamics.multipliers(0.0, down, scene)[:2].round(6))  # minus the tensions
+    [2. 1.]
+    """
     return evaluate(t, state, scene).multipliers
 
 
 def constraint_load(t: Time, state: State, scene: Scene) -> Load:
-    """Forces and torques of the constraints, J^T lambda, eq. (11)."""
+    """Forces and torques of the constraints, J^T lambda, eq. (11) [force, force length].
+
+    >>> import jaxbeads as jb
+    >>> hung = [jb.constraint.Inextensible(), *jb.constraint.hinged()]
+    >>> scene = jb.Scene(
+    ...     jb.Chain(radius=1.0, fibres=3), 1.0, constraints=hung, forces=[jb.force.Weight([0.0, -1.0])]
+    ... )
+    >>> load = jb.dynamics.constraint_load(0.0, jb.straight(scene.chain, [0.0, -1.0]), scene)
+    >>> print(load.force[:, 1].round(6))  # they carry the weight
+    [1. 1. 1.]
+    """
     return constraint_map(t, state, scene).pull(multipliers(t, state, scene))
 
 
 def constraint_matrix(t: Time, state: State, scene: Scene) -> Float[Array, "rows rows"]:
-    """S = J M J^T in full (only needed to look at it: condition, rank)."""
+    """S = J M J^T in full, `(rows, rows)`, a row for each number of `slip` (only needed to look at it:
+    condition, rank).
+
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(radius=1.0, fibres=3), 1.0, constraints=[jb.constraint.Inextensible()])
+    >>> s = jb.dynamics.constraint_matrix(0.0, jb.straight(scene.chain, [1.0, 0.0]), scene)
+    >>> print(s.shape, abs(s - s.T).max() < 1e-15)
+    (2, 2) True
+    """
     return _full_matrix(jnp.asarray(t), state, scene)
 
 
@@ -95,7 +138,12 @@ def _answer(t: Time, state: State, scene: Scene) -> Array:
 
 
 def named(constraint: AbstractConstraint) -> str:
-    """Its name, with the bead or bond that it is about."""
+    """Its name, with the bead or bond that it is about.
+
+    >>> import jaxbeads as jb
+    >>> print(jb.dynamics.named(jb.constraint.PrescribedPosition(bead=2)))
+    PrescribedPosition(bead=2)
+    """
     about = (f"{x}={getattr(constraint, x)}" for x in ("bead", "bond") if hasattr(constraint, x))
     where = ", ".join(about)
     return type(constraint).__name__ + (f"({where})" if where else "")
@@ -113,6 +161,12 @@ def redundancy(t: Time, state: State, scene: Scene) -> str | None:
     converge tell that some depend on one another, but not which.
 
     **Returns** a sentence, or `None` if the constraints are independent. A host function.
+
+    >>> import jaxbeads as jb
+    >>> twice = [jb.constraint.Inextensible(), jb.constraint.Inextensible()]
+    >>> scene = jb.Scene(jb.Chain(radius=1.0, fibres=3), viscosity=1.0, constraints=twice)
+    >>> print(jb.dynamics.redundancy(0.0, jb.straight(scene.chain, [1.0, 0.0]), scene))
+    Inextensible + Inextensible are redundant: 2 of their rows depend on the others
     """
     if not scene.constraints:
         return None
@@ -186,6 +240,13 @@ def constraint_residual(t: Time, state: State, scene: Scene) -> Float[Array, ""]
     Zero up to rounding when the multipliers do their work. The scale is the largest velocity that beads
     or their surfaces have, or would have without constraints: a fibre at rest may be held against large
     forces. Rates of turning count times the largest radius.
+
+    >>> import jaxbeads as jb
+    >>> gears, weight = jb.constraint.Gears(), jb.force.Weight([0.0, -1.0])
+    >>> scene = jb.Scene(jb.Chain(radius=1.0, fibres=3), 1.0, constraints=[gears], forces=[weight])
+    >>> state = jb.straight(scene.chain, [1.0, 0.0])
+    >>> print(jb.dynamics.constraint_residual(0.0, state, scene) < 1e-14)
+    True
     """
     if not scene.constraints:
         return jnp.zeros((), state.position.dtype)

@@ -78,7 +78,8 @@ def symmetric(upper: Float[Array, "n n"]) -> Float[Array, "n n"]:
 
 def _safe(lapack: Callable[..., Any], plain: Callable[..., Any]) -> Callable[..., Any]:
     """The function that calls LAPACK; on CPUs the one in plain arithmetic where no rule keeps calls
-    small."""
+    small.
+    """
     if HAS_RULES:
         return lapack
 
@@ -97,7 +98,8 @@ def cholesky(
 ) -> tuple[Float[Array, "*stack n n"], Bool[Array, "*stack"]]:
     """L of S = L L^T from the upper triangle of S, which is where LAPACK looks for it in a matrix that
     is stored by rows, and whether S is positive. Above L, and in L if it is not, there may be anything;
-    NaN stays NaN. It has no derivatives."""
+    NaN stays NaN. It has no derivatives.
+    """
 
     def general(matrix: Array) -> tuple[Array, Array]:
         lower = jnp.swapaxes(matrix, -1, -2)
@@ -144,7 +146,8 @@ def triangular_solve(
     unit: bool = False,
 ) -> Float[Array, " n"]:
     """Solution of T x = rhs, or T^T x = rhs, with a triangle T of a matrix, with ones on its diagonal if
-    `unit`."""
+    `unit`.
+    """
     options = {"lower": lower, "transpose_a": transposed, "unit_diagonal": unit}
     solve = _triangular_solve(**options)
     return _columns(solve)(factor, rhs[:, None])[:, 0]

@@ -27,7 +27,8 @@ REMEDY = (
 
 class Fault(NamedTuple):
     """A term, what about it is not finite, the first bead of which this is so (if it is known), and
-    whether it is a derivative only."""
+    whether it is a derivative only.
+    """
 
     term: str
     how: str
@@ -69,7 +70,8 @@ def not_finite(t: Time, state: State, scene: Scene) -> Fault | None:
 
 def not_smooth(t: Time, state: State, scene: Scene) -> Fault | None:
     """The first term of which a derivative is not finite that linearisations need, where all values
-    are; `None` if there is none. A host function."""
+    are; `None` if there is none. A host function.
+    """
     time = jnp.asarray(t, state.position.dtype)
     for index, force in enumerate(scene.forces):
         load = partial(scene.load_of, index)
@@ -113,7 +115,8 @@ def _derivative(
     name: str, what: str, term: _Term, t: Array, state: State, beads: bool = True
 ) -> Fault | None:
     """A derivative along the time or a part of the state that is not finite: one in which all its
-    numbers change tells of each of them."""
+    numbers change tells of each of them.
+    """
     number = len(state.position) if beads else None
 
     def fault(function: Callable[[Array], Any], at: Array, by: str) -> Fault | None:

@@ -86,7 +86,8 @@ def near_wall(
     configuration: Configuration, load: Load, strain_rate: Strains | None, points: Points
 ) -> Points:
     """As `unbounded`, with the images behind a no-slip wall: on the wall the fluid is at rest. Spheres
-    that overlap the wall push as in the mobility (see `images.wall`)."""
+    that overlap the wall push as in the mobility (see `images.wall`).
+    """
     here = wall(configuration)
     load = here.slowed(load)
     found = unbounded(here.configuration, load, strain_rate, points)
@@ -110,7 +111,8 @@ def near_surface(
 
 def within(configuration: Configuration, motion: Motion, points: Points) -> tuple[Array, Points]:
     """How many spheres each point is within, `(points,)`, and the sum of the velocities that it has
-    there as a part of them."""
+    there as a part of them.
+    """
     length, centres, radius = _scaled(configuration)
     velocity, spin = motion.velocity, motion.spin
 

@@ -209,6 +209,13 @@ def load(path: str | Path) -> Solution:
     """Read a trajectory file, finished or not.
 
     **Raises** `ValueError` (`DamagedFile`) if it is not there or not readable.
+
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[jb.force.Weight([0.0, -6.0])])
+    >>> state, ts = jb.State([[0.0, 0.0]]), [0.0, 1.0, 2.0]
+    >>> fall = jb.simulate(scene, state, ts, substeps=1, file="fall.h5", progress=False)
+    >>> print(jb.load("fall.h5").states.position[:, 0, 1].round(4))
+    [ 0.     -0.3183 -0.6366]
     """
     with _readable(path), _open(path, "r") as handle:
         _, done, steps = (int(x) for x in np.asarray(handle["mark"]))

@@ -29,7 +29,15 @@ from .state import Load, Motion, State
 
 class FlowField(eqx.Module):
     """Velocity of the fluid at one instant, as a function of points (see `flow_field`). A pytree: it
-    goes through `jit`, `vmap` and `grad`."""
+    goes through `jit`, `vmap` and `grad`.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[jb.force.Weight([0.0, -6 * jnp.pi])])
+    >>> field = jb.flow_field(0.0, jb.State([[0.0, 0.0]]), scene)
+    >>> print(isinstance(field, jb.FlowField), field(jnp.array([[0.0, 0.0]])).round(6))
+    True [[ 0. -1.]]
+    """
 
     t: Float[Array, ""]
     flow: AbstractFlow | None
@@ -46,7 +54,8 @@ class FlowField(eqx.Module):
 
     def __call__(self, points: Any) -> Array:
         """Velocity [length/time] at points [length], an array of any shape whose last axis has the
-        components: those of the scene, or three. **Raises** `ValueError` for another number."""
+        components: those of the scene, or three. **Raises** `ValueError` for another number.
+        """
         return self._at(points, True)
 
     def ambient(self, points: Any) -> Array:
@@ -98,7 +107,8 @@ def _mean(x: Float[Array, "beads 3"]) -> Float[Array, "1 3"]:
 
 def _ambient(field: FlowField, points: Float[Array, "points 3"]) -> Float[Array, "points 3"]:
     """The undisturbed fluid. A planar flow is the same at any height z above its plane; if it gathers
-    there, the fluid leaves along the normal at -z div u."""
+    there, the fluid leaves along the normal at -z div u.
+    """
     flow, dim = field.flow, field.dim
     if flow is None:
         return jnp.zeros_like(points)
@@ -157,6 +167,14 @@ def flow_field(t: Time, state: State, scene: Scene, *, co_moving: bool = False) 
     dimension, in a planar scene also of three components, `(..., dim)` [length], to velocities of the
     same shape [length/time]. Pure. **Raises** `ValueError` for a mobility that knows of no fluid
     (`FreeDraining`).
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[jb.force.Weight([0.0, -6 * jnp.pi])])
+    >>> field = jb.flow_field(0.0, jb.State([[0.0, 0.0]]), scene)
+    >>> print(field(jnp.array([[1.0, 0.0], [5.0, 0.0]])).round(4))  # Stokes: 3a/(4r) + a^3/(4r^3)
+    [[ 0.    -1.   ]
+     [ 0.    -0.152]]
     """
     kind("scene", scene, Scene)
     kind("state", state, State)
@@ -205,7 +223,16 @@ def _solved(
 
 class AverageFlowField(eqx.Module):
     """Mean over a run of the velocity of the fluid, as a function of points (see
-    `average_flow_field`)."""
+    `average_flow_field`).
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[jb.force.Weight([0.0, -6.0])])
+    >>> fall = jb.rollout(scene, jb.State([[0.0, 0.0]]), [0.0, 1.0, 2.0], substeps=1)
+    >>> field = jb.average_flow_field(fall, scene, co_moving=True)
+    >>> print(isinstance(field, jb.AverageFlowField), field.co_moving)
+    True True
+    """
 
     solution: Solution
     scene: Scene
@@ -234,5 +261,13 @@ def average_flow_field(
     **Arguments**: solution and scene; `co_moving`: as for `flow_field`, at each time anew; the mean
     far away is then minus the mean velocity of the beads. **Returns** a function of points as
     `flow_field` does. Each call solves all instants again: give it all points at once.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[jb.force.Weight([0.0, -6.0])])
+    >>> fall = jb.rollout(scene, jb.State([[0.0, 0.0]]), [0.0, 1.0, 2.0], substeps=1)
+    >>> far = jnp.array([[0.0, 1e9]])
+    >>> print(jb.average_flow_field(fall, scene, co_moving=True)(far).round(4))  # minus the bead's
+    [[0.     0.3183]]
     """
     return AverageFlowField(solution, scene, co_moving)

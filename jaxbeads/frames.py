@@ -31,7 +31,8 @@ def _upright(normal: Array, axis: Array) -> Array:
 
 def normals(state: State, chain: Chain) -> Float[Array, "fibres 3"]:
     """The normal of each fibre in space. Where the state holds none: y, turned by the smallest rotation
-    from x to the fibre's direction."""
+    from x to the fibre's direction.
+    """
     axis = axes(state.position, chain)
     if state.normal is not None:
         return _upright(state.normal, axis)

@@ -37,7 +37,16 @@ from .state import Load, Motion, State, add_loads, add_motions, zero_motion
 
 
 def applied_load(t: Time, state: State, scene: Scene) -> Load:
-    """Sum of the forces' loads, without those of the constraints."""
+    """Sum of the forces' loads [force, force length], without those of the constraints.
+
+    >>> import jaxbeads as jb
+    >>> forces = [jb.force.Weight([0.0, -1.0]), jb.force.Follower(2.0)]
+    >>> scene = jb.Scene(jb.Chain(radius=1.0, fibres=3), viscosity=1.0, forces=forces)
+    >>> print(jb.dynamics.applied_load(0.0, jb.straight(scene.chain, [1.0, 0.0]), scene).force)
+    [[ 0. -1.]
+     [ 0. -1.]
+     [-2. -1.]]
+    """
     return add_loads(*(scene.load_of(k, t, state) for k in range(len(scene.forces))))
 
 
@@ -53,14 +62,30 @@ def _fluid(flow: AbstractFlow, t: Time, state: State, scene: Scene) -> tuple[Mot
 
 
 def fluid_motion(t: Time, state: State, scene: Scene) -> Motion:
-    """V_inf, the motion of the fluid as the beads feel it."""
+    """V_inf, the motion of the fluid as the beads feel it [length/time, 1/time].
+
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(radius=1.0, fibres=3), 1.0, flow=jb.flow.Shear(1.0))
+    >>> state = jb.straight(scene.chain, [0.0, 1.0])
+    >>> print(jb.dynamics.fluid_motion(0.0, state, scene).velocity)
+    [[-2.  0.]
+     [ 0.  0.]
+     [ 2.  0.]]
+    """
     if scene.flow is None:
         return zero_motion(state, scene.rotational)
     return _fluid(scene.flow, t, state, scene)[0]
 
 
 def ambient_motion(t: Time, state: State, scene: Scene) -> Motion | None:
-    """V_inf + C : E, the motion of beads without load; `None` without a flow."""
+    """V_inf + C : E, the motion of beads without load [length/time, 1/time]; `None` without a flow.
+
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(radius=1.0, fibres=3), 1.0, flow=jb.flow.Shear(1.0))
+    >>> state = jb.straight(scene.chain, [0.0, 1.0])
+    >>> print(jb.dynamics.ambient_motion(0.0, state, scene).velocity[:, 0].round(4))
+    [-1.9115  0.      1.9115]
+    """
     if scene.flow is None:
         return None
     fluid, strain = _fluid(scene.flow, t, state, scene)
@@ -69,6 +94,18 @@ def ambient_motion(t: Time, state: State, scene: Scene) -> Motion | None:
 
 
 def free_motion(t: Time, state: State, scene: Scene, operator: Product) -> Motion:
+    """Velocities and spins of the beads as if nothing held them, M F + V_inf + C : E
+    [length/time, 1/time].
+
+    **Arguments**: time, state and scene; M at that state, as `scene.operator(state)`.
+
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(radius=1.0, fibres=3), 1.0, forces=[jb.force.Weight([0.0, -1.0])])
+    >>> state = jb.straight(scene.chain, [1.0, 0.0])
+    >>> v = jb.dynamics.free_motion(0.0, state, scene, scene.operator(state)).velocity
+    >>> print(v[1, 1] < v[0, 1])  # nothing holds them together: the middle one falls faster
+    True
+    """
     load, ambient = applied_load(t, state, scene), ambient_motion(t, state, scene)
     if load.force is None and load.torque is None:
         return zero_motion(state, scene.rotational) if ambient is None else ambient
@@ -85,7 +122,8 @@ def evaluation(t: Time, state: State, scene: Scene, known: "Solved | None") -> E
 
 class Solved(NamedTuple):
     """One instant, and what solves for its multipliers. Where it is known already, the derivatives of
-    `rate` need nothing else of the saddle-point system."""
+    `rate` need nothing else of the saddle-point system.
+    """
 
     evaluation: Evaluation
     solver: Factorised | Iterations | None
@@ -114,7 +152,8 @@ def solved(t: Time, state: State, scene: Scene) -> Solved:
 def _instant_jvp(primals: Any, tangents: Any) -> tuple[Solved, Solved]:
     """With multipliers and motion held, dQdot = d[M (F + J^T lambda) + V_inf + C:E] + M J^T dlambda and
     J dQdot = -(dJ Qdot + dB): derivatives in either mode take the factor that there is. Second
-    derivatives take this rule again."""
+    derivatives take this rule again.
+    """
     t, state, scene, known = primals
     found = _instant(t, state, scene, known)
     if known is None:
@@ -136,7 +175,8 @@ _At = tuple[Time, State, Scene, Evaluation]
 
 def _held(t: Time, state: State, scene: Scene, evaluation: Evaluation) -> tuple[Motion, Array]:
     """M (F + J^T lambda) + V_inf + C:E and J Qdot + B for any Qdot and lambda, in a form to be
-    differentiated: at the solution these are Qdot and 0."""
+    differentiated: at the solution these are Qdot and 0.
+    """
     moved, multipliers = evaluation
     load = applied_load(t, state, scene)
     if not scene.constraints:
@@ -176,7 +216,8 @@ def derivative(
     along: tuple[Array, State],
 ) -> Motion:
     """Derivative of the motion of an instant that is `found`, along a time and a change of the state, in
-    a form to be differentiated once more."""
+    a form to be differentiated once more.
+    """
     return _derivative((t, state, scene, found), solver, along).motion
 
 
@@ -191,7 +232,8 @@ def _derivative(
 @with_all_digits
 def _derivative_jvp(primals: Any, tangents: Any) -> tuple[Evaluation, Evaluation]:
     """With K z = b for the saddle-point system, K z_uv = -(second derivative of K z - b along (x_u, z_u)
-    and (x_v, z_v)): no solution is differentiated."""
+    and (x_v, z_v)): no solution is differentiated.
+    """
     at, solver, along = primals
     found = _derivative(*primals)
 
@@ -218,7 +260,15 @@ def _pushed(t: Time, state: State, scene: Scene, load: Load) -> Motion:
 
 def rate(t: Time, state: State, scene: Scene, known: Solved | None = None) -> State:
     """Time derivative of the state: the right-hand side that the solvers integrate, eqs (38), (48).
-    Derivatives of an instant that is `known` take it as it is."""
+    Derivatives of an instant that is `known` take it as it is.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> weight = jb.force.Weight([0.0, -6 * jnp.pi])
+    >>> scene = jb.Scene(jb.Chain(radius=1.0, fibres=1), viscosity=1.0, forces=[weight])
+    >>> print(jb.dynamics.rate(0.0, jb.State([[0.0, 0.0]]), scene).position.round(12))
+    [[ 0. -1.]]
+    """
     moved = evaluation(jnp.asarray(t), state, scene, known).motion
     return moving(state, moved, scene.chain, scene.own_rate(t, state))
 

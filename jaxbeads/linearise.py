@@ -53,7 +53,8 @@ class Linearisation(NamedTuple):
 
     def product(self, shift: Float[Array, " numbers"]) -> Float[Array, " numbers"]:
         """df/dx times a change of x, in scenes of any size: as much work as one instant whose
-        multipliers are solved for with what there is."""
+        multipliers are solved for with what there is.
+        """
         along = jnp.zeros_like(self.t), shift
         return coordinate_derivative(self.t, self.coordinates, self.scene, self.known, along)
 

@@ -27,7 +27,17 @@ from .state import Load, Motion, State, add_loads, spins, zero_motion
 
 def load_on_fluid(t: Time, state: State, scene: Scene) -> Load:
     """Forces [force] and torques [force length] that each bead exerts on the fluid: all those of the
-    scene's forces and constraints, which it hands on. M of it, V_inf and C:E are the motion."""
+    scene's forces and constraints, which it hands on. M of it, V_inf and C:E are the motion.
+
+    >>> import jaxbeads as jb
+    >>> hung = [jb.constraint.Inextensible(), *jb.constraint.hinged()]
+    >>> scene = jb.Scene(
+    ...     jb.Chain(radius=1.0, fibres=3), 1.0, constraints=hung, forces=[jb.force.Weight([0.0, -1.0])]
+    ... )
+    >>> down = jb.straight(scene.chain, [0.0, -1.0])
+    >>> print(abs(jb.observables.load_on_fluid(0.0, down, scene).force).max() < 1e-12)  # it is at rest
+    True
+    """
     return handed_on(t, state, scene, evaluate(t, state, scene) if scene.constraints else None)
 
 
@@ -41,7 +51,14 @@ def handed_on(t: Time, state: State, scene: Scene, found: Evaluation | None) -> 
 
 def drag(t: Time, state: State, scene: Scene) -> Load:
     """Hydrodynamic force [force] and torque [force length] of the fluid on each bead, minus that of the
-    bead on the fluid."""
+    bead on the fluid.
+
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(radius=1.0, fibres=2), 1.0, forces=[jb.force.Weight([0.0, -1.0])])
+    >>> print(jb.observables.drag(0.0, jb.straight(scene.chain, [1.0, 0.0]), scene).force + 0.0)
+    [[0. 1.]
+     [0. 1.]]
+    """
     return jax.tree.map(jnp.negative, load_on_fluid(t, state, scene))
 
 
@@ -51,6 +68,17 @@ def constraint_loads(t: Time, state: State, scene: Scene) -> dict[str, Load]:
 
     Those of a chain constraint add up to no force and no torque; those of one that holds or drives a
     bead are the load that the holder exerts.
+
+    >>> import jaxbeads as jb
+    >>> hung = [jb.constraint.Inextensible(), *jb.constraint.hinged()]
+    >>> scene = jb.Scene(
+    ...     jb.Chain(radius=1.0, fibres=3), 1.0, constraints=hung, forces=[jb.force.Weight([0.0, -1.0])]
+    ... )
+    >>> loads = jb.observables.constraint_loads(0.0, jb.straight(scene.chain, [0.0, -1.0]), scene)
+    >>> for name, load in loads.items():
+    ...     print(name, load.force[:, 1].round(6))
+    Inextensible [-2.  1.  1.]
+    PrescribedPosition(bead=0) [3. 0. 0.]
     """
     every, still = multipliers(t, state, scene), zero_motion(state, scene.rotational)
     loads: dict[str, Load] = {}
@@ -73,7 +101,15 @@ def net_load(
     load: Load, state: State, about: Any
 ) -> tuple[Float[Array, " dim"], Float[Array, " spins"]]:
     """Sum of the forces [force], `(dim,)`, and of all torques about a point [force length], `(1,)` in
-    the plane and `(3,)` in space."""
+    the plane and `(3,)` in space.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> load = jb.Load(force=jnp.array([[0.0, 0.0], [0.0, -1.0]]))
+    >>> force, torque = jb.observables.net_load(load, jb.State([[0.0, 0.0], [2.0, 0.0]]), [0.0, 0.0])
+    >>> print(force, torque)
+    [ 0. -1.] [-2.]
+    """
     dim, dtype = state.position.shape[1], state.position.dtype
     force, torque = jnp.zeros(dim, dtype), jnp.zeros(spins(dim), dtype)
     if load.force is not None:
@@ -94,6 +130,15 @@ def holding_load(
 
     **Argument** `bead`: its index, -1 for the last. **Returns** `(dim,)`, and `(1,)` in the plane or
     `(3,)` in space. **Raises** `ValueError` if nothing holds it.
+
+    >>> import jaxbeads as jb
+    >>> hung = [jb.constraint.Inextensible(), *jb.constraint.hinged()]
+    >>> scene = jb.Scene(
+    ...     jb.Chain(radius=1.0, fibres=3), 1.0, constraints=hung, forces=[jb.force.Weight([0.0, -1.0])]
+    ... )
+    >>> force, _ = jb.observables.holding_load(0.0, jb.straight(scene.chain, [0.0, -1.0]), scene)
+    >>> print(f"{force[1]:.6f}")  # the weight of three beads
+    3.000000
     """
     beads, held = scene.chain.beads, []
     index("bead", bead, beads)
@@ -132,6 +177,16 @@ def stress_resultants(
     joint.
 
     **Returns** `(beads - 1, dim)` and `(beads - 1, 1 or 3)`; 0 from a fibre to the next.
+
+    >>> import jaxbeads as jb
+    >>> hung = [jb.constraint.Inextensible(), *jb.constraint.hinged()]
+    >>> scene = jb.Scene(
+    ...     jb.Chain(radius=1.0, fibres=3), 1.0, constraints=hung, forces=[jb.force.Weight([0.0, -1.0])]
+    ... )
+    >>> down = jb.straight(scene.chain, [0.0, -1.0])
+    >>> force, moment = jb.observables.stress_resultants(0.0, down, scene)
+    >>> print(force[:, 1].round(6), moment.shape)  # what hangs on each bond
+    [-2. -1.] (2, 1)
     """
     chain, position = scene.chain, state.position
     load = _internal_load(t, state, scene)
@@ -170,20 +225,51 @@ def _up_to_bond(x: Float[Array, "beads n"], chain: Chain) -> Float[Array, "bonds
 
 def tension(t: Time, state: State, scene: Scene) -> Float[Array, " bonds"]:
     """Tension in each bond, n . e [force], positive where it pulls its beads together; 0 from a fibre
-    to the next. See `stress_resultants`."""
+    to the next. See `stress_resultants`.
+
+    >>> import jaxbeads as jb
+    >>> hung = [jb.constraint.Inextensible(), *jb.constraint.hinged()]
+    >>> scene = jb.Scene(
+    ...     jb.Chain(radius=1.0, fibres=3), 1.0, constraints=hung, forces=[jb.force.Weight([0.0, -1.0])]
+    ... )
+    >>> print(jb.observables.tension(0.0, jb.straight(scene.chain, [0.0, -1.0]), scene).round(6))
+    [2. 1.]
+    """
     return jnp.sum(stress_resultants(t, state, scene)[0] * tangents(state.position), axis=1)
 
 
 def shear_force(t: Time, state: State, scene: Scene) -> Float[Array, "bonds dim"]:
     """Shear force in each bond, n - (n . e) e [force], `(beads - 1, dim)`: what the part of the fibre
-    beyond it exerts on that before it across the fibre. See `stress_resultants`."""
+    beyond it exerts on that before it across the fibre. See `stress_resultants`.
+
+    >>> import jaxbeads as jb
+    >>> beam = [jb.constraint.Gears(), *jb.constraint.clamped()]
+    >>> scene = jb.Scene(
+    ...     jb.Chain(radius=1.0, fibres=3),
+    ...     viscosity=1.0,
+    ...     constraints=[*beam, jb.constraint.FrozenJoints()],
+    ...     forces=[jb.force.Weight([0.0, -1.0])],
+    ... )
+    >>> across = jb.observables.shear_force(0.0, jb.straight(scene.chain, [1.0, 0.0]), scene)
+    >>> print(across[1].round(6) + 0.0)  # the weight of the last bead
+    [ 0. -1.]
+    """
     n, e = stress_resultants(t, state, scene)[0], tangents(state.position)
     return n - jnp.sum(n * e, axis=1, keepdims=True) * e
 
 
 def bending_moment(t: Time, state: State, scene: Scene) -> Float[Array, "bonds spins"]:
     """Moment in each bond [force length], `(beads - 1, 1)` in the plane, where that of a fibre bent
-    anticlockwise is positive (K_b kappa), and `(beads - 1, 3)` in space. See `stress_resultants`."""
+    anticlockwise is positive (K_b kappa), and `(beads - 1, 3)` in space. See `stress_resultants`.
+
+    >>> import jaxbeads as jb
+    >>> chain = jb.Chain(radius=1.0, fibres=3)
+    >>> gears, bending = jb.constraint.Gears(), jb.force.Bending(10.0)
+    >>> scene = jb.Scene(chain, viscosity=1.0, constraints=[gears], forces=[bending])
+    >>> bent = jb.State(jb.from_tangents(chain, [[1.0, 0.0], [0.8, 0.6]]))
+    >>> print(jb.observables.bending_moment(0.0, bent, scene).ravel().round(6))  # half of K_b kappa
+    [1.5 1.5]
+    """
     return stress_resultants(t, state, scene)[1]
 
 
@@ -194,6 +280,11 @@ def elastic_energy(t: Time, state: State, scene: Scene) -> Float[Array, ""]:
     Bending counts from the straight fibre, sum of K_b l (kappa^2/2 - kappa_0 kappa) for small turns:
     what is preferred has the least energy, a negative one. **Raises** `ValueError` for an elastic force
     without an energy (`JointBending`, a curvature at rest given as vectors).
+
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(radius=1.0, fibres=2), viscosity=1.0, forces=[jb.force.Spring(4.0)])
+    >>> print(jb.observables.elastic_energy(0.0, jb.State([[0.0, 0.0], [2.5, 0.0]]), scene))
+    0.5
     """
     energy = jnp.zeros((), state.position.dtype)
     for force in scene.forces:

@@ -137,7 +137,8 @@ def _rounds(start: PyTree, fixed: PyTree, unfinished: Round, body: Round, most: 
 
 class _Trail(NamedTuple):
     """The carries that a loop leaves behind, in `_SLOTS` slots: that of every round, and when they are
-    full, of every second, fourth, ..., in the slots of those that are given up."""
+    full, of every second, fourth, ..., in the slots of those that are given up.
+    """
 
     rounds: Any
     slots: int
@@ -296,12 +297,14 @@ def _zero(tangents: list[Array]) -> Any:
 
 def linked(carry: PyTree, inputs: PyTree) -> PyTree:
     """The carry that a loop begins with, with tangents, if only zeros, wherever inputs have any: else
-    JAX traces the body's derivative again and again until it knows which numbers have one."""
+    JAX traces the body's derivative again and again until it knows which numbers have one.
+    """
     numbers, rest = eqx.partition(carry, eqx.is_inexact_array)
     return eqx.combine(_with_tangents(numbers, eqx.filter(inputs, eqx.is_inexact_array)), rest)
 
 
 def equal_parts(number: int, most: int) -> int:
     """The size of equal parts of a number of things, at most `most`: parts of two sizes would be two
-    programs."""
+    programs.
+    """
     return next(size for size in range(max(1, min(number, most)), 0, -1) if number % size == 0)

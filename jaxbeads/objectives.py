@@ -41,7 +41,14 @@ def mean_over_time(function: Callable[..., Any], solution: Solution, scene: Scen
     """Mean of `function(t, state, scene)` over the solution's time: an array or a tree of them.
 
     It is compiled once for a function and the shapes of solution and scene: a function that is defined
-    anew for each call is compiled at each call."""
+    anew for each call is compiled at each call.
+
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[jb.force.Weight([0.0, -6.0])])
+    >>> fall = jb.rollout(scene, jb.State([[0.0, 0.0]]), [0.0, 1.0, 2.0], substeps=1)
+    >>> print(jb.objectives.mean_over_time(jb.observables.settling_velocity, fall, scene).round(4))
+    [ 0.     -0.3183]
+    """
     return _mean(function, solution.ts, solution.states, scene)
 
 
@@ -54,20 +61,41 @@ def _mean(function: Callable[..., Any], ts: Array, states: State, scene: Scene) 
 
 
 def displacement(solution: Solution) -> Float[Array, " dim"]:
-    """From the mean of all beads at the first time to that at the last [length]."""
+    """From the mean of all beads at the first time to that at the last [length].
+
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[jb.force.Weight([0.0, -6.0])])
+    >>> fall = jb.rollout(scene, jb.State([[0.0, 0.0]]), [0.0, 1.0, 2.0], substeps=1)
+    >>> print(jb.objectives.displacement(fall).round(4))  # V t = 2/pi
+    [ 0.     -0.6366]
+    """
     position = solution.states.position
     return jnp.mean(position[-1], axis=0) - jnp.mean(position[0], axis=0)
 
 
 def distance(solution: Solution) -> Float[Array, ""]:
-    """Net distance travelled by the mean of all beads [length], with derivative 0 at 0."""
+    """Net distance travelled by the mean of all beads [length], with derivative 0 at 0.
+
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[jb.force.Weight([0.0, -6.0])])
+    >>> fall = jb.rollout(scene, jb.State([[0.0, 0.0]]), [0.0, 1.0, 2.0], substeps=1)
+    >>> print(f"{jb.objectives.distance(fall):.4f}")
+    0.6366
+    """
     return norm(displacement(solution))
 
 
 def swimming_speed(solution: Solution, scene: Scene, frequency: Any) -> Float[Array, ""]:
     """Net speed of the mean of all beads as V/(f L): lengths of the (first) fibre swum in a period.
 
-    **Raises** `ValueError` for a frequency that is not positive."""
+    **Raises** `ValueError` for a frequency that is not positive.
+
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[jb.force.Weight([0.0, -6.0])])
+    >>> fall = jb.rollout(scene, jb.State([[0.0, 0.0]]), [0.0, 1.0, 2.0], substeps=1)
+    >>> print(f"{jb.objectives.swimming_speed(fall, scene, frequency=1.0):.4f}")  # V/(f 2a)
+    0.1592
+    """
     positive("frequency", frequency)
     time = solution.ts[-1] - solution.ts[0]
     return distance(solution) / (time * frequency * scene.chain.length[0])
@@ -76,12 +104,26 @@ def swimming_speed(solution: Solution, scene: Scene, frequency: Any) -> Float[Ar
 def mean_power(solution: Solution, scene: Scene) -> Float[Array, ""]:
     """Mean work done on the fluid per time, see `observables.power` [force length/time]. In a quiescent
     fluid it is the dissipation; over whole periods, the work of the active torques (and of what
-    holds or drives the fibre), because elastic energy comes back."""
+    holds or drives the fibre), because elastic energy comes back.
+
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[jb.force.Weight([0.0, -6.0])])
+    >>> fall = jb.rollout(scene, jb.State([[0.0, 0.0]]), [0.0, 1.0, 2.0], substeps=1)
+    >>> print(f"{jb.objectives.mean_power(fall, scene):.4f}")  # F V = 6/pi
+    1.9099
+    """
     return mean_over_time(power, solution, scene)
 
 
 def efficiency(solution: Solution, scene: Scene) -> Float[Array, ""]:
-    """Lighthill's efficiency, gamma_par V^2 / P, see `observables.swimming_efficiency`."""
+    """Lighthill's efficiency, gamma_par V^2 / P, see `observables.swimming_efficiency`.
+
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[jb.force.Weight([0.0, -6.0])])
+    >>> fall = jb.rollout(scene, jb.State([[0.0, 0.0]]), [0.0, 1.0, 2.0], substeps=1)
+    >>> print(f"{jb.objectives.efficiency(fall, scene):.4f}")  # a bead that is towed
+    1.0000
+    """
     speed = distance(solution) / (solution.ts[-1] - solution.ts[0])
     return swimming_efficiency(speed, mean_power(solution, scene), scene)
 
@@ -91,7 +133,15 @@ def thrust(solution: Solution, scene: Scene, direction: Any) -> Float[Array, ""]
 
     Forces within chains sum to zero, so this is minus the sum of all constraint forces.
 
-    **Raises** `ValueError` for a direction that is zero or of another dimension."""
+    **Raises** `ValueError` for a direction that is zero or of another dimension.
+
+    >>> import jaxbeads as jb
+    >>> weight, hold = jb.force.Weight([0.0, -6.0]), jb.constraint.PrescribedPosition()
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, constraints=[hold], forces=[weight])
+    >>> rest = jb.rollout(scene, jb.State([[0.0, 0.0]]), [0.0, 1.0, 2.0], substeps=1)
+    >>> print(f"{jb.objectives.thrust(rest, scene, [0.0, -1.0]):.4f}")
+    6.0000
+    """
     shape("direction", direction, solution.states.position.shape[-1:])
     non_zero("direction", direction)
     along = jnp.asarray(direction, float)
@@ -106,7 +156,16 @@ def _held(t: Array, state: State, scene: Scene) -> Array:
 
 def mean_pumping_rate(solution: Solution, scene: Scene, along: Any) -> Float[Array, ""]:
     """Mean volume of fluid driven along a no-slip wall per time, see `observables.pumping_rate`
-    [length^3/time]."""
+    [length^3/time].
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> push, wall = jb.force.Weight([jnp.pi, 0.0]), jb.NoSlipWall([0.0, 0.0], [0.0, 1.0])
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[push], domain=wall)
+    >>> run = jb.rollout(scene, jb.State([[0.0, 3.0]]), [0.0, 1.0, 2.0], substeps=1)
+    >>> print(f"{jb.objectives.mean_pumping_rate(run, scene, [1.0, 0.0]):.4f}")  # F h/(pi mu)
+    3.0000
+    """
     rate = jax.tree_util.Partial(_pumped, jnp.asarray(along, float))
     return mean_over_time(rate, solution, scene)
 
@@ -120,7 +179,19 @@ def pumping_efficiency(solution: Solution, scene: Scene, along: Any) -> Float[Ar
     mean power P and its length L. That of a given sequence of shapes depends neither on the viscosity
     nor on the frequency (after Osterman & Vilfan, PNAS 108 (2011) 15727).
 
-    **Raises** `ValueError` for several fibres."""
+    **Raises** `ValueError` for several fibres.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> push, wall = jb.force.Weight([jnp.pi, 0.0]), jb.NoSlipWall([0.0, 0.0], [0.0, 1.0])
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[push], domain=wall)
+    >>> run = jb.rollout(scene, jb.State([[0.0, 3.0]]), [0.0, 1.0, 2.0], substeps=1)
+    >>> print(f"{jb.objectives.pumping_efficiency(run, scene, [1.0, 0.0]):.4f}")
+    2.6303
+    >>> power = jb.objectives.mean_power(run, scene)
+    >>> print(f"{3.0**2 / (2.0**3 * power):.4f}")  # mu Q^2/(L^3 P)
+    2.6303
+    """
     if (several := len(scene.chain.fibres)) > 1:
         fail("scene.chain", "be one fibre", f"it has {several}")
     both = jax.tree_util.Partial(_pumped_and_used, jnp.asarray(along, float))
@@ -138,6 +209,15 @@ def shape_error(solution: Solution, data: Any, *, moved: bool = False) -> Float[
     **Arguments**: `data`: positions at the solution's times, `(times, beads, dim)`; `moved`: whether
     each shape is first moved to the data's mean position. **Raises** `ValueError` for data of another
     shape.
+
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[jb.force.Weight([0.0, -6.0])])
+    >>> fall = jb.rollout(scene, jb.State([[0.0, 0.0]]), [0.0, 1.0, 2.0], substeps=1)
+    >>> seen = fall.states.position + 0.1  # in both directions
+    >>> print(f"{jb.objectives.shape_error(fall, seen):.4f}")
+    0.1414
+    >>> print(f"{jb.objectives.shape_error(fall, seen, moved=True):.4f}")
+    0.0000
     """
     shape("data", data, solution.states.position.shape)
     apart = solution.states.position - jnp.asarray(data)

@@ -75,6 +75,12 @@ def curvature(position: Float[Array, "*times beads dim"], chain: Chain) -> Array
     """Curvature |e x e'| / l at each inner bead, eq. (34), shape `(*times, beads - 2)` [1/length].
 
     Signed in the plane (anticlockwise positive); zero where one fibre ends and the next begins.
+
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.observables import curvature
+    >>> chain = jb.Chain(radius=1.0, fibres=3)
+    >>> print(curvature(jb.from_tangents(chain, [[1.0, 0.0], [0.8, 0.6]]), chain).round(6))  # 0.6/2
+    [0.3]
     """
     e = tangents(position)
     sine = cross(e[..., :-1, :], e[..., 1:, :])
@@ -87,7 +93,15 @@ def minimal_radius_of_curvature(
     position: Float[Array, "*times beads dim"], chain: Chain
 ) -> Float[Array, "*times"]:
     """Smallest radius of curvature along the fibres [length]; infinite when straight, or where no fibre
-    has three beads."""
+    has three beads.
+
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.observables import minimal_radius_of_curvature
+    >>> chain = jb.Chain(radius=1.0, fibres=3)
+    >>> bent = jb.from_tangents(chain, [[1.0, 0.0], [0.8, 0.6]])
+    >>> print(f"{minimal_radius_of_curvature(bent, chain):.4f}")
+    3.3333
+    """
     largest = jnp.max(jnp.abs(curvature(position, chain)), axis=-1, initial=0.0)
     return jnp.where(largest == 0, jnp.inf, 1 / jnp.where(largest == 0, 1.0, largest))
 
@@ -104,7 +118,16 @@ def end_to_end_distance(
     position: Float[Array, "*times beads dim"], chain: Chain | None = None
 ) -> Float[Array, "*values"]:
     """Distance of the first and the last bead's centres [length]: of each fibre of the `chain`, shape
-    `(*times, fibres)`, or, without one, of all beads taken as one fibre, `times`."""
+    `(*times, fibres)`, or, without one, of all beads taken as one fibre, `times`.
+
+    >>> import jax.numpy as jnp, jaxbeads as jb
+    >>> from jaxbeads.observables import end_to_end_distance
+    >>> position = jnp.array([[0.0, 0.0], [2.0, 0.0], [0.0, 3.0], [2.0, 3.0]])
+    >>> print(f"{end_to_end_distance(position):.4f}")
+    3.6056
+    >>> print(end_to_end_distance(position, jb.Chain(radius=1.0, fibres=[2, 2])))
+    [2. 2.]
+    """
     return norm(_ends(position, chain))
 
 
@@ -112,7 +135,13 @@ def deflection(
     position: Float[Array, "*times beads dim"], direction: Any
 ) -> Float[Array, "*times"]:
     """Distance of the extreme centres of all beads along `direction` (A of the settling fibre)
-    [length]."""
+    [length].
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.observables import deflection
+    >>> print(deflection(jnp.array([[0.0, 0.5], [2.0, -1.0], [4.0, 0.5]]), [0.0, 1.0]))
+    1.5
+    """
     unit = jnp.asarray(direction) / jnp.linalg.norm(jnp.asarray(direction))
     height = position @ unit
     return jnp.max(height, axis=-1) - jnp.min(height, axis=-1)
@@ -122,7 +151,13 @@ def tilt(
     position: Float[Array, "*times beads dim"], direction: Any, chain: Chain | None = None
 ) -> Float[Array, "*values"]:
     """How much further the last bead is along `direction` than the first [length]; `chain` as for
-    `end_to_end_distance`."""
+    `end_to_end_distance`.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.observables import tilt
+    >>> print(tilt(jnp.array([[0.0, 0.5], [2.0, -1.0], [4.0, 1.0]]), [0.0, 1.0]))
+    0.5
+    """
     unit = jnp.asarray(direction) / jnp.linalg.norm(jnp.asarray(direction))
     return _ends(position, chain) @ unit
 
@@ -131,7 +166,13 @@ def orientation(
     position: Float[Array, "*times beads dim"], chain: Chain | None = None
 ) -> Float[Array, "*values"]:
     """Angle of the end-to-end vector in the x-y plane, from x [rad], in (-pi, pi]; `chain` as for
-    `end_to_end_distance`."""
+    `end_to_end_distance`.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.observables import orientation
+    >>> print(f"{orientation(jnp.array([[0.0, 0.0], [1.0, 1.0]])):.4f}")  # 45 degrees
+    0.7854
+    """
     ends = _ends(position, chain)
     return jnp.arctan2(ends[..., 1], ends[..., 0])
 
@@ -143,6 +184,13 @@ def orbit_period(ts: Any, position: Any) -> float:
     Cubic interpolation between saved times. A host function (not for `jit`).
 
     **Raises** `ValueError` if the trajectory holds less than half a turn.
+
+    >>> import numpy as np
+    >>> from jaxbeads.observables import orbit_period
+    >>> ts = np.linspace(0.0, 5.0, 21)
+    >>> ends = np.stack([np.cos(ts), np.sin(ts)], axis=1)
+    >>> print(round(orbit_period(ts, np.stack([-ends, ends], axis=1)), 6))  # 2 pi
+    6.283185
     """
     ts, angle = np.asarray(ts), np.unwrap(np.asarray(orientation(jnp.asarray(position))))
     turned = np.abs(angle - angle[0])
@@ -162,19 +210,39 @@ def orbit_period(ts: Any, position: Any) -> float:
 def bond_length_error(
     position: Float[Array, "*times beads dim"], chain: Chain
 ) -> Float[Array, "*times bonds"]:
-    """Relative error of each bond length; zero between fibres."""
+    """Relative error of each bond length, `(*times, beads - 1)`; zero between fibres.
+
+    >>> import jax.numpy as jnp, jaxbeads as jb
+    >>> from jaxbeads.observables import bond_length_error
+    >>> position = jnp.array([[0.0, 0.0], [2.0, 0.0], [4.02, 0.0]])
+    >>> print(bond_length_error(position, jb.Chain(radius=1.0, fibres=3)).round(6))
+    [0.   0.01]
+    """
     length = norm(bonds(position))
     error = length / jnp.broadcast_to(chain.bond_length, length.shape) - 1
     return error * jnp.broadcast_to(chain.bond_mask, length.shape)
 
 
 def settling_velocity(t: Time, state: State, scene: Scene) -> Float[Array, " dim"]:
-    """Mean velocity of the beads at one instant [length/time]."""
+    """Mean velocity of the beads at one instant [length/time].
+
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[jb.force.Weight([0.0, -6.0])])
+    >>> print(jb.observables.settling_velocity(0.0, jb.State([[0.0, 0.0]]), scene).round(4))  # 1/pi
+    [ 0.     -0.3183]
+    """
     return jnp.mean(motion(t, state, scene).velocity, axis=0)
 
 
 def friction_coefficient(t: Time, state: State, scene: Scene, force: Any) -> Float[Array, ""]:
-    """gamma = F / V for the total force F [force time/length], V the mean velocity along F."""
+    """gamma = F / V for the total force F [force time/length], V the mean velocity along F.
+
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[jb.force.Weight([0.0, -6.0])])
+    >>> gamma = jb.observables.friction_coefficient(0.0, jb.State([[0.0, 0.0]]), scene, [0.0, -6.0])
+    >>> print(f"{gamma:.4f}")  # 6 pi mu a
+    18.8496
+    """
     force = jnp.asarray(force)
     size = jnp.max(jnp.abs(force))  # a square of the force itself may be too small
     size = size * jnp.linalg.norm(force / jnp.where(size == 0, 1.0, size))
@@ -183,7 +251,13 @@ def friction_coefficient(t: Time, state: State, scene: Scene, force: Any) -> Flo
 
 def power(t: Time, state: State, scene: Scene) -> Float[Array, ""]:
     """Work done on the fluid per time by all forces and torques, of the scene's terms and of its
-    constraints: sum of F.v + T.w [force length/time]. In a quiescent fluid it is the dissipation."""
+    constraints: sum of F.v + T.w [force length/time]. In a quiescent fluid it is the dissipation.
+
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[jb.force.Weight([0.0, -6.0])])
+    >>> print(f"{jb.observables.power(0.0, jb.State([[0.0, 0.0]]), scene):.4f}")  # F^2/(6 pi mu a)
+    1.9099
+    """
     found = evaluate(t, state, scene)
     moved, load = found.motion, handed_on(t, state, scene, found)
     done = jnp.zeros((), state.position.dtype)
@@ -201,6 +275,13 @@ def pumping_rate(t: Time, state: State, scene: Scene, along: Any) -> Float[Array
 
     **Arguments**: time, state and scene; `along`, the direction d on the wall, of any length. The
     ambient flow does not count. **Raises** `ValueError` if the domain is no `NoSlipWall`.
+
+    >>> import jaxbeads as jb
+    >>> push, wall = jb.force.Weight([2.0, 0.0]), jb.NoSlipWall([0.0, 0.0], [0.0, 1.0])
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[push], domain=wall)
+    >>> rate = jb.observables.pumping_rate(0.0, jb.State([[0.0, 3.0]]), scene, [1.0, 0.0])
+    >>> print(f"{rate:.4f}")  # F h/(pi mu)
+    1.9099
     """
     if not isinstance(scene.domain, NoSlipWall):
         fail("scene.domain", "be a NoSlipWall", f"it is {type(scene.domain).__name__}")
@@ -227,6 +308,12 @@ def wall_force(t: Time, state: State, scene: Scene) -> Float[Array, " dim"]:
     themselves, and the stress of an ambient flow, do not count.
 
     **Raises** `ValueError` if the domain is no `NoSlipWall`.
+
+    >>> import jaxbeads as jb
+    >>> push, wall = jb.force.Weight([2.0, -1.0]), jb.NoSlipWall([0.0, 0.0], [0.0, 1.0])
+    >>> scene = jb.Scene(jb.Chain(radius=1.0, fibres=1), 1.0, forces=[push], domain=wall)
+    >>> print(jb.observables.wall_force(0.0, jb.State([[0.0, 3.0]]), scene).round(12))
+    [ 2. -1.]
     """
     if not isinstance(scene.domain, NoSlipWall):
         fail("scene.domain", "be a NoSlipWall", f"it is {type(scene.domain).__name__}")
@@ -241,7 +328,15 @@ def swimming_efficiency(speed: Any, mean_power: Any, scene: Scene) -> Float[Arra
     """Lighthill's efficiency: power to tow the straight, rigid fibre at the swimming speed along its
     axis, over the mean power of the stroke, gamma_par V^2 / P.
 
-    **Raises** `ValueError` for several fibres, which have no common axis."""
+    **Raises** `ValueError` for several fibres, which have no common axis.
+
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(radius=1.0, fibres=3), viscosity=1.0)
+    >>> flat = jb.straight(scene.chain, [1.0, 0.0]).position
+    >>> along = jb.observables.rigid_resistance(flat, scene.chain)[0, 0]
+    >>> print(f"{jb.observables.swimming_efficiency(0.1, 0.5, scene) / along:.4f}")  # V^2 / P
+    0.0200
+    """
     if (several := len(scene.chain.fibres)) > 1:
         fail("scene.chain", "be one fibre", f"it has {several}")
     dim = 2
@@ -260,7 +355,15 @@ def rigid_resistance(
     """Resistance of the beads moved as one rigid body about their mean position.
 
     The 6 x 6 matrix (3 x 3 in the plane) that maps (velocity, spin) to (force, torque): K^T M^-1 K,
-    where K gives each bead the body's velocity and spin.
+    where K gives each bead the body's velocity and spin; in units of [force time/length], with a length
+    more for each spin. **Arguments**: positions, `(beads, dim)` [length]; chain; mu; mobility.
+
+    >>> import jaxbeads as jb
+    >>> bead = jb.Chain(radius=1.0, fibres=1)
+    >>> print(jb.observables.rigid_resistance([[0.0, 0.0]], bead).round(4))  # 6 pi, 6 pi, 8 pi
+    [[18.8496  0.      0.    ]
+     [ 0.     18.8496  0.    ]
+     [ 0.      0.     25.1327]]
     """
     return _resistance(jnp.asarray(position), chain, jnp.asarray(viscosity, float), mobility)
 

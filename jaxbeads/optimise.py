@@ -37,7 +37,8 @@ class _Terms(eqx.Module):
 
 class _Walk(eqx.Module):
     """Where it is: free values, the optimiser's memory, the merit's terms, and the largest gradient by
-    each array of values so far."""
+    each array of values so far.
+    """
 
     z: PyTree
     memory: Any
@@ -117,7 +118,8 @@ class _Problem(eqx.Module):
 
     def fresh(self, z: PyTree) -> Any:
         """The optimiser's memory before its first step, of the types that it has after it: a weak type
-        would be compiled for once more."""
+        would be compiled for once more.
+        """
         return jax.tree.map(lambda x: jnp.asarray(x, jnp.asarray(x).dtype), self.optimiser.init(z))
 
     def move(self, walk: _Walk, at: _Slope) -> tuple[_Walk, Array]:
@@ -206,7 +208,8 @@ class _Program:
 
     def visible(self, start: PyTree, at: _Slope, at_large: _Problem, terms: _Terms) -> Array:
         """The largest part of itself by which the loss falls, if somewhat less, where small values reach
-        for it; 0 if there is none."""
+        for it; 0 if there is none.
+        """
 
         def go(problem: _Problem, start: PyTree, at: _Slope, part: Array) -> tuple[PyTree, Array]:
             far = reach(start, problem.lower, problem.upper, at.loss, at.gradient, part)
@@ -263,6 +266,12 @@ def optimise(
 
     **Returns** an `Optimum`. **Raises** `ValueError` for a start that is outside its bounds or not
     finite, and for a file of another problem.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> best = jb.optimise(lambda x: jnp.sum((x - 3.0) ** 2), jnp.array([0.0, 1.0]), progress=False)
+    >>> print(best.values.round(6))
+    [3. 3.]
     """
     for name, function in (("loss", loss), ("constraint", constraint)):
         if not callable(function) and not (name == "constraint" and function is None):

@@ -39,6 +39,12 @@ class Optimum(eqx.Module):
       leading axis of starts.
     - `history`: see `History`; `status`: why it ended, which `ending` is a number for: two results of
       one shape have one structure.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> best = jb.optimise(lambda x: jnp.sum((x - 3.0) ** 2), jnp.array([0.0, 1.0]), progress=False)
+    >>> print(best.loss < 1e-12, best.status)
+    True the gradient vanishes
     """
 
     values: PyTree

@@ -8,12 +8,17 @@ class Outcome(IntEnum):
 
     Members are whole numbers, with which compiled programs compute. Those of endings are such that a sum
     or a difference of two is none of them: solutions may be subtracted.
+
+    >>> from jaxbeads import Outcome
+    >>> print(Outcome.FINE == 0, Outcome(3).word, Outcome(103).word)
+    True broken interrupted
     """
 
     word: str
     sentence: str
 
     def __new__(cls, number: int, word: str, sentence: str) -> "Outcome":
+        """A whole number with its word and its sentence."""
         one = int.__new__(cls, number)
         one._value_, one.word, one.sentence = number, word, sentence
         return one

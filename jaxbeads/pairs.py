@@ -34,7 +34,14 @@ CROSS = {
 def separations(
     to: Float[Array, "to dim"], of: Float[Array, "of dim"]
 ) -> list[Float[Array, "to of"]]:
-    """r_i - r_j, one field for each component."""
+    """r_i - r_j, one field `(to, of)` for each component, from positions `(to, dim)` and `(of, dim)`.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.pairs import separations
+    >>> x, y = separations(jnp.array([[1.0, 0.0], [4.0, 2.0]]), jnp.array([[1.0, 0.0]]))
+    >>> print(x[:, 0], y[:, 0])
+    [0. 3.] [0. 2.]
+    """
     # XLA: products, not broadcasts. Their derivatives in reverse are products with ones, which it does
     # not merge with what makes the fields (it would make them once for each bead).
     row, column = jnp.ones((1, len(of)), of.dtype), jnp.ones((len(to), 1), to.dtype)
@@ -42,7 +49,14 @@ def separations(
 
 
 def radii_of(to: Float[Array, "*to"], of: Float[Array, "*of"]) -> Radii:
-    """The radii of pairs."""
+    """The radii of pairs: one for all beads, or those of two sets as a column and a row.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.pairs import radii_of
+    >>> to, of = radii_of(jnp.array([1.0, 2.0]), jnp.array([1.0, 2.0, 3.0]))
+    >>> print(to.shape, of.shape, radii_of(jnp.array(1.0), jnp.array(1.0)))
+    (2, 1) (1, 3) 1.0
+    """
     return to if to.ndim == 0 else (to[:, None], of[None, :])
 
 
@@ -56,6 +70,13 @@ def pair_sums(
 
     **Arguments**: function of two sets of beads, to and of, that returns fields (to, of); arrays with a
     row for each bead, of which it gets some. **Returns** an array of numbers for each field.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.pairs import pair_sums
+    >>> heights = jnp.array([0.0, 1.0, 3.0])
+    >>> (above,) = pair_sums(lambda to, of: [to[:, None] - of[None, :]], heights)
+    >>> print(above)  # by how much each is above all others
+    [-4. -1.  5.]
     """
     to = beads if to is None else to
     number, others = (len(jax.tree.leaves(x)[0]) for x in (to, beads))
@@ -80,7 +101,13 @@ def pair_sums(
 
 
 class Signed(eqx.Module):
-    """A field or its negative, so that antisymmetric tables hold each field once."""
+    """A field or its negative, so that antisymmetric tables hold each field once.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.pairs import Signed
+    >>> print(Signed(jnp.array([[0.0, 1.0], [2.0, 0.0]]), -1) @ jnp.array([1.0, 1.0]))
+    [-1. -2.]
+    """
 
     field: Field
     sign: int = eqx.field(static=True, default=1)
@@ -97,6 +124,16 @@ class PairTensor(eqx.Module):
 
     In the coupling of translation and rotation `None` is a zero field. All but `tt` are empty in
     scenes without rotation. The whole is symmetric: `rt[k][i]` is the transpose of `tr[i][k]`.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> beads = jb.Configuration([[0.0, 0.0], [3.0, 0.0]], radius=1.0, viscosity=1.0)
+    >>> table = jb.tensors.rpy(beads)
+    >>> moved = table.motion(jb.Load(force=jnp.array([[0.0, -1.0], [0.0, -1.0]])))
+    >>> print(moved.velocity.round(4), moved.spin.round(4))
+    [[ 0.     -0.0673]
+     [ 0.     -0.0673]] [[-0.0044]
+     [ 0.0044]]
     """
 
     tt: Table
@@ -115,7 +152,8 @@ class PairTensor(eqx.Module):
 
     def unit_motions(self, torque: bool) -> Motion:
         """Motions under a unit force (or torque) along each component on each bead: the columns of M,
-        component by component, as a leading axis."""
+        component by component, as a leading axis.
+        """
         linear, angular = (self.tr, self.rr) if torque else (self.tt, self.rt)
         return Motion(_columns(linear), _columns(angular) if self.rr else None)
 
@@ -155,7 +193,16 @@ def _products(
 
 
 def added(one: PairTensor, other: PairTensor) -> PairTensor:
-    """The sum of two mobilities as tables."""
+    """The sum of two mobilities as tables.
+
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.pairs import added
+    >>> beads = jb.Configuration([[0.0, 0.0], [3.0, 0.0]], radius=1.0, viscosity=1.0)
+    >>> table = jb.tensors.rpy(beads)
+    >>> print((added(table, table).tt[0][0] / table.tt[0][0]).round(12))
+    [[2. 2.]
+     [2. 2.]]
+    """
 
     def signed(a: Signed | None, b: Signed | None) -> Signed | None:
         there = [x.sign * x.field for x in (a, b) if x is not None]

@@ -62,6 +62,14 @@ def to_paraview(solution: Solution, scene: Scene, path: str | Path) -> Path:
     each time. States that are not finite are left out, with a warning.
     **Returns** the path. **Raises** `ValueError` if it does not end in .pvd or cannot be written, for a
     scene that does not fit, for a batch, and where VTK is not installed.
+
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.force import Weight
+    >>> chain = jb.Chain(radius=1.0, fibres=1)
+    >>> scene = jb.Scene(chain, viscosity=1.0, forces=[Weight([0.0, -1.0])])
+    >>> run = jb.rollout(scene, jb.State([[0.0, 0.0]]), [0.0, 1.0], substeps=1)
+    >>> print(jb.to_paraview(run, scene, "run.pvd"))
+    run.pvd
     """
     path = _path(path, ".pvd")
     kind("solution", solution, Solution)
@@ -112,6 +120,13 @@ def flow_to_paraview(
 
     **Returns** the path. **Raises** `ValueError` if it does not end in .vti or cannot be written, for a
     grid that is none, and where VTK is not installed.
+
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.force import Weight
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[Weight([0.0, -1.0])])
+    >>> field = jb.flow_field(0.0, jb.State([[0.0, 0.0]]), scene)
+    >>> print(jb.flow_to_paraview(field, "flow.vti", ((-3, 3), (-3, 3)), (5, 5)))
+    flow.vti
     """
     path = _path(path, ".vti")
     if not isinstance(field, (FlowField, AverageFlowField)):

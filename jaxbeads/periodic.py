@@ -31,6 +31,16 @@ class PeriodicState(eqx.Module):
       `(dim, dim)`.
     - `converged`: whether it was found; if not, the other numbers are NaN.
     - `jacobian`: derivatives of what a period changes in the shape's coordinates by them.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> spring = jb.force.Potential(lambda t, r: 3 * jnp.pi * jnp.sum(r**2))
+    >>> push = jb.force.ForceField(lambda t, r: 6 * jnp.pi * jnp.cos(2 * jnp.pi * t) * jnp.ones_like(r))
+    >>> scene = jb.Scene(jb.Chain(radius=1.0, fibres=1), viscosity=1.0, forces=[spring, push])
+    >>> held, start = {"moving": False, "turning": False}, jb.State([[0.0, 0.0]])
+    >>> found = jb.periodic_state(scene, start, period=1.0, substeps=20, **held)
+    >>> print(found.converged, abs(found.multipliers).round(4))  # exp(-1): stable
+    True [0.3679 0.3679]
     """
 
     state: State
@@ -43,7 +53,8 @@ class PeriodicState(eqx.Module):
     def multipliers(self) -> np.ndarray:
         """Floquet multipliers, by which small disturbances grow in a period, complex, largest first:
         the motion is stable if none is larger than 1. A turn that makes no difference has 1. A host
-        function."""
+        function.
+        """
         values = 1 + np.linalg.eigvals(np.asarray(self.jacobian)).astype(complex)
         return values[np.argsort(-np.abs(values))]
 
@@ -93,6 +104,16 @@ def periodic_state(
 
     **Returns** a `PeriodicState`. **Raises** `ValueError` for input that does not fit, `RuntimeError` if
     none is found (under `jit`, which cannot raise, `converged` is false and the numbers are NaN).
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> spring = jb.force.Potential(lambda t, r: 3 * jnp.pi * jnp.sum(r**2))
+    >>> push = jb.force.ForceField(lambda t, r: 6 * jnp.pi * jnp.cos(2 * jnp.pi * t) * jnp.ones_like(r))
+    >>> scene = jb.Scene(jb.Chain(radius=1.0, fibres=1), viscosity=1.0, forces=[spring, push])
+    >>> held, start = {"moving": False, "turning": False}, jb.State([[0.0, 0.0]])
+    >>> found = jb.periodic_state(scene, start, period=1.0, substeps=20, **held)
+    >>> print(found.state.position.round(4))  # where a cycle begins: 1/(1 + 4 pi^2)
+    [[0.0247 0.0247]]
     """
     check(scene, state)
     refuse_freedom(scene, "moving", moving, "translation")
@@ -186,7 +207,8 @@ def _rotation(first: _Figure, last: _Figure) -> Array:
 
 def _turned_by(first: _Figure, last: _Figure) -> Array:
     """Turns c_k by which the first figure lies best on the last (where small): last = first + sum of
-    c_k (first turned by W_k)."""
+    c_k (first turned by W_k).
+    """
 
     def rows(figure: _Figure) -> Array:
         points = figure.points - figure.points.mean(axis=0, keepdims=True)
@@ -212,7 +234,8 @@ def _solve(
 
     def system(shape: Shape, y: Array, problem: Problem) -> Pair:
         """The change of the shape in a period; displacement and rotation of the whole, and what is no
-        part of the change of the shape."""
+        part of the change of the shape.
+        """
         state = shape.state(y)
         run = rollout(problem.scene, state, problem.ts, solver=solver)
         after = run.final

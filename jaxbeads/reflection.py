@@ -43,10 +43,12 @@ def _plus(*terms: Component) -> Component:
 
 
 def scaled(number: Component | float, vector: Vector) -> Vector:
+    """A number times a vector."""
     return [_times(number, x) for x in vector]
 
 
 def total(*vectors: Vector) -> Vector:
+    """The sum of vectors."""
     return [_plus(*parts) for parts in zip(*vectors, strict=True)]
 
 
@@ -59,6 +61,7 @@ def _cross(a: Vector, b: Vector) -> Vector:
 
 
 def there(component: Component, like: Array) -> Array:
+    """A component, as zeros if it is `None`."""
     return jnp.zeros_like(like) if component is None else component
 
 
@@ -68,7 +71,8 @@ def _square(r: Vector) -> Array:
 
 class _Source(NamedTuple):
     """The flow of a mirrored source, without 8 pi mu: v, half its curl, grad w, (n.grad) grad w, and the
-    same of the pressure over the viscosity (`None` without a pressure)."""
+    same of the pressure over the viscosity (`None` without a pressure).
+    """
 
     velocity: Vector
     spin: Vector

@@ -20,7 +20,8 @@ from .scene import Scene, check
 from .solution import Solution, name_number
 from .solver import AB3, AbstractSolver, AdaptiveSteps, Diffrax, FixedSteps, Rosenbrock
 from .solver.base import plain
-from .solver.stepping import Carry, substeps_for
+from .solver.explicit import substeps_for
+from .solver.stepping import Carry
 from .solver.tolerance import controller_for, default_tolerance
 from .state import State
 
@@ -43,7 +44,8 @@ def solver_for(
     scene: Scene, solver: Solver | None, tolerance: Tolerance | None, substeps: int | None
 ) -> AbstractSolver:
     """The solver that the arguments of `rollout` and `simulate` mean: `tolerance` and `substeps` are
-    shorthands for the options of a solver that has none yet."""
+    shorthands for the options of a solver that has none yet.
+    """
     if isinstance(solver, AbstractSolver):
         for name, value in {"tolerance": tolerance, "substeps": substeps}.items():
             if value is not None:
@@ -192,6 +194,15 @@ def rollout(
     - `single_precision`: confirms that float32 is meant.
 
     **Returns** a `Solution`. **Raises** `ValueError` for input that does not fit.
+
+    >>> import jax
+    >>> import jaxbeads as jb
+    >>> state, ts = jb.State([[0.0, 0.0]]), [0.0, 1.0, 2.0]
+    >>> def fall(weight):
+    ...     scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[jb.force.Weight([0.0, -weight])])
+    ...     return jb.rollout(scene, state, ts, substeps=1).final.position[0, 1]
+    >>> print(f"{fall(6.0):.4f}, {jax.grad(fall)(6.0):.4f}")  # -W t/(6 pi mu a), and its derivative
+    -0.6366, -0.1061
     """
     check(scene, state, single_precision=single_precision)
     increasing("ts", ts)
@@ -238,7 +249,8 @@ def law_errors(
     scene: Scene, stepper: Stepper, ts: Float[Array, " times"], states: State
 ) -> Float[Array, " constraints"]:
     """How far each constraint with a law of places is off it at most, over how far the law leads; 0 for
-    others, and within what the steps' tolerance allows."""
+    others, and within what the steps' tolerance allows.
+    """
     start, length = (ts[0], jax.tree.map(lambda x: x[0], states)), jnp.max(scene.chain.length)
     allowed = 1e-9 * length
     if isinstance(stepper, AdaptiveSteps):
@@ -258,6 +270,5 @@ def diagnostics(
     scene: Scene, ts: Float[Array, " times"], states: State
 ) -> tuple[Float[Array, " times"], Float[Array, " times"]]:
     """Constraint residual and largest relative bond-length error at each time."""
-
     residual = lax.map(lambda at: constraint_residual(at[0], at[1], scene), (ts, states))
     return residual, bond_errors(scene, states)

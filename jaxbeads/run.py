@@ -90,7 +90,8 @@ def _warn_of_laws(scene: Scene, stepper: Stepper, solution: Solution) -> None:
 
 def _chunk_length(intervals: int, wanted: int | None) -> int:
     """Intervals in a chunk: a divisor of all, so that a run stops (`until`) after as many of them
-    whether or not it was resumed."""
+    whether or not it was resumed.
+    """
     most = max(1, intervals // 20) if wanted is None else wanted
     return max(n for n in range(1, min(most, intervals) + 1) if intervals % n == 0)
 

@@ -58,6 +58,7 @@ class ConstraintMap(NamedTuple):
 
 
 def constraint_map(t: Time, state: State, scene: Scene) -> ConstraintMap:
+    """J, J^T and B of all constraints at one instant."""
     slip = slips(t, state, scene)
     still = zero_motion(state, scene.rotational)
     offset, transpose = jax.vjp(slip, still)
@@ -136,7 +137,8 @@ class Factorised(NamedTuple):
 
 class Iterations(eqx.Module):
     """S as a product, with S' = J M' J^T for a preconditioner (see `windows`): the block of the chain
-    constraint banded, all other rows eliminated against it."""
+    constraint banded, all other rows eliminated against it.
+    """
 
     chain: Banded | None
     coupling: Float[Array, "others chained"]
@@ -232,6 +234,7 @@ class SaddlePoint(NamedTuple):
 
 
 def saddle_point(t: Time, state: State, scene: Scene, operator: Product) -> SaddlePoint:
+    """The system of multipliers at one instant, S factorised or ready to be iterated."""
     held = lax.stop_gradient(operator)
     instant = lax.stop_gradient((t, state, scene))
     solver = _factorised(*instant, held) if scene.dense else _iterations(*instant)

@@ -45,6 +45,18 @@ class Scene(Setting):
     A term that is absent costs nothing: without spins in any term the mobility has none.
 
     **Raises** `ValueError` for a viscosity that is not positive and terms of the wrong kind.
+
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.constraint import Gears
+    >>> from jaxbeads.force import Bending, Weight
+    >>> scene = jb.Scene(
+    ...     jb.Chain(radius=1.0, fibres=34),
+    ...     viscosity=1.0,
+    ...     constraints=[Gears()],
+    ...     forces=[Weight([0.0, -1.0]), Bending(157.2)],
+    ... )
+    >>> print(scene.rotational, scene.forces[1].rigidity)
+    True 157.2
     """
 
     mobility: AbstractMobility = RPY()
@@ -196,6 +208,13 @@ def check(
 
     **Raises** `ValueError`. Warns of fibres with elastic bending that no term holds together. Values
     that are being traced are not looked at.
+
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(radius=1.0, fibres=[1, 1]), viscosity=1.0)
+    >>> try:
+    ...     jb.check(scene, jb.State([[0.0, 0.0], [1.0, 0.0]]))
+    ... except ValueError as error:
+    ...     print(error)
     """
     kind("scene", scene, Scene)
     kind("state", state, State)

@@ -17,6 +17,11 @@ class Setting(eqx.Module):
     **Arguments**: `chain`, the beads; `viscosity`, mu [force time/length^2]; `domain`, the space.
 
     **Raises** `ValueError` for a viscosity that is not positive and arguments of the wrong kind.
+
+    >>> import jaxbeads as jb
+    >>> setting = jb.Setting(jb.Chain(radius=1.0, fibres=3), viscosity=2.0)
+    >>> print(setting.chain.beads, setting.viscosity, setting.domain)
+    3 2.0 Unbounded()
     """
 
     chain: Chain

@@ -64,6 +64,13 @@ def simulate(
     **Returns** a `Solution` with residual, bond-length error and timings. **Raises** `ValueError` for
     input that does not fit; `SimulationError` if the run breaks down, naming step, bead and term,
     with the solution up to the last good state in its field `solution`.
+
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[jb.force.Weight([0.0, -6.0])])
+    >>> state, ts = jb.State([[0.0, 0.0]]), [0.0, 1.0, 2.0]
+    >>> fall = jb.simulate(scene, state, ts, substeps=1, progress=False)
+    >>> print(fall.states.position[:, 0, 1].round(4), fall.status)
+    [ 0.     -0.3183 -0.6366] finished
     """
     clock = Clock()
     steps = {"solver": solver, "tolerance": tolerance, "bond_tolerance": bond_tolerance}
@@ -123,6 +130,16 @@ def resume(
     **Returns** the solution from where the file left off (`files.load` reads the whole).
     **Raises** `ValueError` if file and arguments do not fit, naming what differs, and if another run
     writes to the file; and as `simulate`.
+
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[jb.force.Weight([0.0, -6.0])])
+    >>> state, ts, options = jb.State([[0.0, 0.0]]), [0.0, 1.0, 2.0], {"substeps": 1, "progress": False}
+    >>> begun = jb.simulate(
+    ...     scene, state, ts, file="fall.h5", chunk=1, until=lambda run: run.ts[-1] >= 1.0, **options
+    ... )
+    >>> rest = jb.resume("fall.h5", scene, **options)
+    >>> print(begun.status, rest.status, rest.ts)
+    stopped by `until` finished [1. 2.]
     """
     clock = Clock()
     steps = {"solver": solver, "tolerance": tolerance, "bond_tolerance": bond_tolerance}

@@ -58,6 +58,14 @@ class Solution(eqx.Module):
     All of it is in leaves, also how a run ended (`ending`) and by which solver (`method`), as numbers:
     solutions of one shape have one structure, however long they took and whatever became of them. Their
     differences by `jax.tree.map` are solutions again, and a jitted function is traced for one of them.
+
+    >>> import jaxbeads as jb
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[jb.force.Weight([0.0, -6.0])])
+    >>> fall = jb.rollout(scene, jb.State([[0.0, 0.0]]), [0.0, 1.0, 2.0], substeps=1)
+    >>> print(fall.states.position.shape, fall.steps, fall.code, fall.status, fall.solver)
+    (3, 1, 2) 2 0 finished AB3
+    >>> print(fall.final.position.round(4))
+    [[ 0.     -0.6366]]
     """
 
     ts: Float[Array, " times"]
@@ -79,7 +87,8 @@ class Solution(eqx.Module):
     @property
     def status(self) -> str:
         """How it ended, in words; "traced" under a transformation, where that is not known yet. Of many
-        runs, how many ended in which way. A host function."""
+        runs, how many ended in which way. A host function.
+        """
         if not known((self.code, self.ending)):
             return "traced"
         ending = Outcome.FINISHED if self.ending is None else self.ending
@@ -95,7 +104,8 @@ class Solution(eqx.Module):
     @property
     def solver(self) -> str | None:
         """Name of the solver; `None` where it is not known, as while it is traced. A host
-        function."""
+        function.
+        """
         if self.method is None or not known(self.method):
             return None
         names = {name_number(name): name for name in _solver_names(*_SOLVERS)}
@@ -126,7 +136,8 @@ class Solution(eqx.Module):
 
     def summary(self) -> str:
         """What was done, in a few lines. A host function, which under a transformation, where numbers
-        are not known yet, says so."""
+        are not known yet, says so.
+        """
         *batch, times, beads, dim = self.states.position.shape
         runs = f"{' x '.join(map(str, batch))} runs of " if batch else ""
         what = f"{runs}{times} states of {beads} beads in {dim}-D"

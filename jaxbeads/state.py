@@ -31,6 +31,11 @@ class State(eqx.Module):
 
     **Raises** `ValueError` for a position that is not of shape `(beads, 2 or 3)`, another shape of the
     directors, and numbers that are not finite.
+
+    >>> import jaxbeads as jb
+    >>> state = jb.State([[0.0, 0.0], [2.0, 0.0]])
+    >>> print(state.position.shape, state.director)
+    (2, 2) None
     """
 
     position: Float[Array, "beads dim"] = eqx.field(converter=float_array)
@@ -63,6 +68,11 @@ class Motion(eqx.Module):
     """Velocities [length/time], shape `(beads, dim)`, and spins [1/time], shape `(beads, spins)`.
 
     `spin` is `None` in scenes in which no term turns beads.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> print(jb.Motion(velocity=jnp.zeros((3, 2))).spin)
+    None
     """
 
     velocity: Float[Array, "*batch beads dim"]
@@ -73,6 +83,12 @@ class Load(eqx.Module):
     """Forces [force], shape `(beads, dim)`, and torques [force length], shape `(beads, spins)`.
 
     `None` stands for "none at all" and costs nothing.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> load = jb.Load(force=jnp.array([[0.0, -1.0], [0.0, -1.0]]))
+    >>> print(load.force.sum(axis=0), load.torque)
+    [ 0. -2.] None
     """
 
     force: Float[Array, "*batch beads dim"] | None = None

@@ -32,6 +32,15 @@ class SteadyState(eqx.Module):
     - `state`, and `velocity`, at which all of it moves [length/time], `(dim,)`.
     - `converged`: whether it was found; if not, the other numbers are NaN.
     - `jacobian`: derivatives of the rates of the shape's coordinates by them [1/time].
+
+    >>> import jaxbeads as jb
+    >>> hung = [jb.constraint.Inextensible(), *jb.constraint.hinged()]
+    >>> scene = jb.Scene(
+    ...     jb.Chain(radius=1.0, fibres=2), 1.0, constraints=hung, forces=[jb.force.Weight([0.0, -1.0])]
+    ... )
+    >>> found = jb.steady_state(scene, jb.straight(scene.chain, [0.2, -1.0]), moving=False)
+    >>> print(found.converged, found.growth_rates.real.max() < 1e-9)  # stable
+    True True
     """
 
     state: State
@@ -42,14 +51,16 @@ class SteadyState(eqx.Module):
     @property
     def growth_rates(self) -> np.ndarray:
         """Rates at which small disturbances grow [1/time], complex, fastest first: the shape is stable
-        if no real part is positive. A turn that makes no difference has rate 0. A host function."""
+        if no real part is positive. A turn that makes no difference has rate 0. A host function.
+        """
         values = np.linalg.eigvals(np.asarray(self.jacobian)).astype(complex)
         return values[np.argsort(-np.real(values))]
 
 
 class Shape(eqx.Module):
     """Coordinates y of shapes about one of them: those of `chart` relative to the first place, places in
-    units of the fibre's length."""
+    units of the fibre's length.
+    """
 
     chart: AbstractCoordinates
     scale: Array
@@ -140,7 +151,8 @@ class _Turn(eqx.Module):
 
 class Root(eqx.Module):
     """What `root` finds: the state, what else is sought, whether it was found; the Jacobians of the
-    residual and of what else is sought, and the last state at which they were taken."""
+    residual and of what else is sought, and the last state at which they were taken.
+    """
 
     state: State
     sought: Array
@@ -298,6 +310,15 @@ def steady_state(
 
     **Returns** a `SteadyState`. **Raises** `ValueError` for input that does not fit, `RuntimeError` if
     none is found (under `jit`, which cannot raise, `converged` is false and the numbers are NaN).
+
+    >>> import jaxbeads as jb
+    >>> hung = [jb.constraint.Inextensible(), *jb.constraint.hinged()]
+    >>> scene = jb.Scene(
+    ...     jb.Chain(radius=1.0, fibres=2), 1.0, constraints=hung, forces=[jb.force.Weight([0.0, -1.0])]
+    ... )
+    >>> found = jb.steady_state(scene, jb.straight(scene.chain, [0.2, -1.0]), moving=False)
+    >>> print(jb.geometry.tangents(found.state.position).round(6) + 0.0)  # it hangs straight down
+    [[ 0. -1.]]
     """
     check(scene, state)
     refuse_freedom(scene, "moving", moving, "translation")

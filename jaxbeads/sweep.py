@@ -108,6 +108,18 @@ def sweep(
     text with a line for each member that failed: which it is, and for the first three why; alone they
     are run again by `simulate`, which names step, bead and term. `to_netcdf` writes all of it.
     **Raises** `ValueError` for input that does not fit, as a folder that holds another sweep.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> def build(weight):
+    ...     forces = [jb.force.Weight(weight * jnp.array([0.0, -1.0]))]
+    ...     return jb.Scene(jb.Chain(1.0, 1), 1.0, forces=forces), jb.State([[0.0, 0.0]])
+    >>> def measure(solution, scene):
+    ...     return {"fall": jb.objectives.distance(solution)}
+    >>> axes, ts, options = {"weight": [3.0, 6.0]}, [0.0, 1.0, 2.0], {"substeps": 1, "progress": False}
+    >>> table = jb.sweep(build, axes, ts, measure, **options)
+    >>> print(table.fall.values.round(4), table.code.values)  # W t/(6 pi mu a)
+    [0.3183 0.6366] [0 0]
     """
     points, shape, dims = _grid(axes, paired)
     for name, function in (("build", build), ("measure", measure)):
@@ -220,7 +232,8 @@ def _built(build: Build, point: Mapping[str, Array]) -> tuple[Scene, State]:
 
 def _together(build: Build, points: Mapping[str, np.ndarray]) -> int:
     """How many members with equal steps a CPU follows side by side: as many as LAPACK takes in one call,
-    while their tables of pairs stay in the fast cache."""
+    while their tables of pairs stay in the fast cache.
+    """
 
     def multipliers(point: dict[str, Array]) -> tuple[Array, Array]:
         scene, state = _built(build, point)

@@ -94,9 +94,7 @@ def _variable(name: str, dimensions: list[str], value: Any) -> tuple[list[str], 
 
 
 def to_csv(path: str | Path, ts: Any, columns: Mapping[str, Any]) -> Path:
-    """Write what was measured over time as text, a row for each time:
-
-        to_csv("fibre.csv", solution.ts, {"span": end_to_end_distance(solution.states.position)})
+    """Write what was measured over time as text, a row for each time.
 
     **Arguments**
 
@@ -109,6 +107,13 @@ def to_csv(path: str | Path, ts: Any, columns: Mapping[str, Any]) -> Path:
     what is not finite is written as `nan`, `inf` or `-inf`, no and yes as 0 and 1.
     **Returns** the path. **Raises** `ValueError` for columns that do not fit the times, for names that
     are no text or there twice, and if the file cannot be written.
+
+    >>> import jaxbeads as jb
+    >>> path = jb.to_csv("fall.csv", [0.0, 0.5], {"centre": [[0.0, 2.0], [0.0, 1.5]]})
+    >>> print(path.read_text(), end="")
+    time,centre_0,centre_1
+    0.0,0.0,2.0
+    0.5,0.0,1.5
     """
     path = Path(path)
     times = _numbers("ts", ts)

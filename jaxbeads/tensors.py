@@ -18,6 +18,8 @@ from .configuration import Configuration
 from .pairs import CROSS, Field, PairTensor, Radii, Signed, Table
 from .state import Load, Motion, spins
 
+__all__ = ["rpy", "rpy_gradient", "rpy_motion", "shear_disturbance"]
+
 
 class _Separation(NamedTuple):
     vector: list[Field]  # r_i - r_j
@@ -106,7 +108,8 @@ class _Overlap(NamedTuple):
 
 def _distances(s: _Separation, a: Array, b: Array) -> tuple[Array, Array, _Overlap, Array]:
     """Whether one sphere is within the other (also the diagonal); whether they meet at all; those that
-    overlap; inverse distance of those that do not, a regular value elsewhere."""
+    overlap; inverse distance of those that do not, a regular value elsewhere.
+    """
     inside, near, touching = s.distance <= jnp.abs(a - b), s.distance <= a + b, a + b
     r = jnp.where(near & ~inside, s.distance, touching)
     inverse = 1 / r
@@ -162,6 +165,13 @@ def rpy(configuration: Configuration) -> PairTensor:
 
     References: Wajnryb, Mizerski, Zuk & Szymczak, J. Fluid Mech. 731 (2013) R3 (equal radii); Zuk,
     Wajnryb, Mizerski & Szymczak, J. Fluid Mech. 741 (2014) R5 (unequal radii).
+
+    >>> import jaxbeads as jb
+    >>> beads = jb.Configuration([[0.0, 0.0], [4.0, 0.0]], radius=1.0, viscosity=1.0)
+    >>> table = jb.tensors.rpy(beads).tt[0][0]
+    >>> print((table / table[0, 0]).round(4))  # 3a/(2R) - (a/R)^3 of one on the other, along their axis
+    [[1.     0.3594]
+     [0.3594 1.    ]]
     """
     scaled = configuration.scaled
     vector, radii = scaled.pairs()
@@ -182,7 +192,14 @@ def rpy(configuration: Configuration) -> PairTensor:
 
 def rpy_motion(configuration: Configuration, load: Load) -> Motion:
     """M F as `rpy(...).motion(load)`, but pair by pair: no field outlives the sum that it goes into, and
-    derivatives need no outer products. Memory grows like the number of beads (see `pair_sums`)."""
+    derivatives need no outer products. Memory grows like the number of beads (see `pair_sums`).
+
+    >>> import jax.numpy as jnp, jaxbeads as jb
+    >>> beads = jb.Configuration([[0.0, 0.0], [4.0, 0.0]], 1.0, 1.0, rotational=False)
+    >>> print(jb.tensors.rpy_motion(beads, jb.Load(force=6.0 * jnp.eye(2))).velocity.round(4))
+    [[0.3183 0.0622]
+     [0.1144 0.3183]]
+    """
     scaled, rotational = configuration.scaled, configuration.rotational
 
     def fields(vector: list[Field], radii: Radii | None) -> tuple[Field, ...]:
@@ -206,7 +223,7 @@ def pushed(
     rotational: bool,
     load: Load,
 ) -> tuple[Field, ...]:
-    """What the load on bead j adds to each component of velocity and spin of bead i."""
+    """What the load on bead j adds to each component of velocity and spin of bead i: fields."""
     k = _coefficients(vector, radii, length, viscosity)
     dim, turns = len(vector), spins(len(vector))
     force = None if load.force is None else list(load.force.T[:, None, :])
@@ -285,6 +302,13 @@ def shear_disturbance(
     for each, `(beads, dim, dim)`.
 
     Reference: Wajnryb et al., J. Fluid Mech. 731 (2013) R3; Zuk et al., ibid. 741 (2014) R5.
+
+    >>> import jax.numpy as jnp, jaxbeads as jb
+    >>> beads = jb.Configuration([[0.0, 0.0], [4.0, 0.0]], 1.0, 1.0, rotational=False)
+    >>> extension = jnp.array([[1.0, 0.0], [0.0, -1.0]])
+    >>> print(jb.tensors.shear_disturbance(beads, extension).velocity.round(4))  # it holds them back
+    [[ 0.1406  0.    ]
+     [-0.1406  0.    ]]
     """
     scaled = configuration.scaled
 
@@ -301,7 +325,7 @@ def strained(
     strain_rate: Array,
     rotational: bool,
 ) -> tuple[Field, ...]:
-    """What the strain at bead j adds to each component of velocity and spin of bead i."""
+    """What the strain at bead j adds to each component of velocity and spin of bead i: fields."""
     s, dim, d = _separation(vector), len(vector), vector
     c1, c2, cr = _strain_unequal(s, *radii) if isinstance(radii, tuple) else _strain_equal(s)
     strain_rate, cr = strain_rate * length, cr / length  # the tensor is small, a field is not
@@ -334,6 +358,12 @@ def rpy_gradient(
 
     **Arguments**: configuration; loads; rate of strain as a function of positions (see
     `shear_disturbance`) or `None`; shifts [length]. **Returns** motions, a leading axis of shifts.
+
+    >>> import jax.numpy as jnp, jaxbeads as jb
+    >>> beads = jb.Configuration([[0.0, 0.0], [4.0, 0.0]], 1.0, 1.0, rotational=False)
+    >>> load, apart = jb.Load(force=jnp.ones((2, 2))), jnp.array([[[0.0, 0.0], [1.0, 0.0]]])
+    >>> print(jb.tensors.rpy_gradient(beads, load, None, apart).velocity[0, :, 0].round(4))
+    [-0.0044 -0.0044]
     """
     position, dim, scaled = configuration.position, configuration.dim, configuration.scaled
     vectors, radii = scaled.pairs()

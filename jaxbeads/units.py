@@ -1,5 +1,6 @@
 """Values, a loss and constraints in units that a start shows, and values within bounds as functions of
-free ones: what an optimiser sees does not depend on the units of the problem."""
+free ones: what an optimiser sees does not depend on the units of the problem.
+"""
 
 from typing import Any
 
@@ -63,7 +64,8 @@ def reach(
 ) -> PyTree:
     """How far each array of values goes until the loss has changed by a part of itself, if its slope
     stays the same; 0 for arrays that show their size. Those of zeros do not, nor those so small that
-    changes of their size are nothing to the loss."""
+    changes of their size are nothing to the loss.
+    """
 
     def one(x: Array, lower: Array, upper: Array, slope: Array) -> Array:
         steepness, sizes = _norm(slope), _size(x, lower, upper)
@@ -146,7 +148,8 @@ def _norm(x: Array) -> Array:
 
 def _known(lower: Array, upper: Array) -> tuple[Array, Array, Array, Array]:
     """Which bounds are finite, and bounds with a finite number where there is none, for a derivative
-    that is finite on either side of each choice."""
+    that is finite on either side of each choice.
+    """
     low, high = jnp.isfinite(lower), jnp.isfinite(upper)
     return low, high, jnp.where(low, lower, 0.0), jnp.where(high, upper, 0.0)
 
@@ -176,7 +179,8 @@ def free(x: Array, lower: Array, upper: Array, unit: Array) -> Array:
 
 def unbound(slope: Array, z: Array, lower: Array, upper: Array) -> Array:
     """A gradient by free values; where it points away from a bound, as if the bound were not near, where
-    free values hardly move the values."""
+    free values hardly move the values.
+    """
     low, high = jnp.isfinite(lower), jnp.isfinite(upper)
     inward = jnp.where(low & high, slope * z > 0, jnp.where(low, slope < 0, slope > 0))
     rate = jnp.where(

@@ -43,6 +43,16 @@ def vary(function: Callable[..., Any], tree: PyTree, where: Callable[[PyTree], P
     the scene; `where`: a function that picks one of its arrays, or a tuple or list of them.
     **Returns** a function of new values in the same structure; its `start` holds the present ones.
     **Raises** `ValueError` if anything but arrays of numbers is picked.
+
+    >>> import jax
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.force import Weight
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), viscosity=1.0, forces=[Weight([0.0, -6.0])])
+    >>> def speed(scene):
+    ...     return jb.observables.settling_velocity(0.0, jb.State([[0.0, 0.0]]), scene)[1]
+    >>> of_viscosity = jb.vary(speed, scene, lambda scene: scene.viscosity)
+    >>> print(of_viscosity.start, f"{of_viscosity(1.0):.4f}, {jax.grad(of_viscosity)(1.0):.4f}")
+    1.0 -0.3183, 0.3183
     """
     for name, given in (("function", function), ("where", where)):
         if not callable(given):

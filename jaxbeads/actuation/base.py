@@ -9,7 +9,16 @@ from jaxtyping import Array, Float
 class AbstractCurvature(eqx.Module):
     """Preferred curvature kappa_0(s, t) at the joints of a fibre, whose bending moment is then
     m = K_b (kappa - kappa_0) b: the driving torques of an active fibre. They are internal, so their sum
-    and the total force vanish."""
+    and the total force vanish.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.actuation import AbstractCurvature
+    >>> class Pulse(AbstractCurvature):
+    ...     def __call__(self, t, arclength, length):
+    ...         return jnp.sin(t) * arclength / length
+    >>> print(Pulse()(jnp.array(jnp.pi / 2), jnp.array([2.0, 4.0]), jnp.array([8.0, 8.0])))
+    [0.25 0.5 ]
+    """
 
     @abc.abstractmethod
     def __call__(

@@ -12,6 +12,13 @@ class PlanarBeat(eqx.Module):
     """e(t) = (cos alpha, sin alpha), alpha = alpha_0 sin(zeta t): the base angle of eq. (60).
 
     **Arguments**: `amplitude` alpha_0 [rad]; `angular_frequency` zeta [1/time].
+
+    **Raises** `ValueError` for numbers that are not finite or of another shape.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.actuation import PlanarBeat
+    >>> print(PlanarBeat(amplitude=jnp.pi / 6, angular_frequency=1.0)(jnp.array(jnp.pi / 2)).round(4))
+    [0.866 0.5  ]
     """
 
     amplitude: Float[Array, ""] = eqx.field(converter=float_array)
@@ -38,6 +45,13 @@ class HelicalBeat(eqx.Module):
 
     **Arguments**: `amplitude` alpha_0 [rad]; `angular_frequency` zeta [1/time]; `distance` R, 1 for a
     direction, delta of eq. (62) for the position of a bead off the axis [length].
+
+    **Raises** `ValueError` for numbers that are not finite or of another shape.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.actuation import HelicalBeat
+    >>> print(HelicalBeat(amplitude=0.3, angular_frequency=1.0)(jnp.zeros(())).round(4))
+    [0.9553 0.2955 0.    ]
     """
 
     amplitude: Float[Array, ""] = eqx.field(converter=float_array)

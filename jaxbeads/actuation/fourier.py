@@ -22,6 +22,12 @@ class FourierCurvature(AbstractCurvature):
     - `frequency`: f [1/time].
 
     **Raises** `ValueError` for other shapes and numbers that are not finite.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.actuation import FourierCurvature
+    >>> drive = FourierCurvature(cosine=[[0.1, 0.0]], sine=[[0.0, 0.2]], frequency=1.0)
+    >>> print(drive(jnp.array(0.25), jnp.array([2.0, 4.0]), jnp.array([8.0, 8.0])))  # 0.1 + 0.2
+    [0.3 0.3]
     """
 
     cosine: Float[Array, "modes harmonics"] = eqx.field(converter=float_array)

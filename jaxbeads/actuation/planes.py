@@ -25,6 +25,14 @@ class TwoPlanes(AbstractCurvature):
     frame that does not spin sees the same wave at another frequency, so nothing is lost but that shift.
 
     **Arguments**: `first`, `second`: planar curvatures, as `TravellingWave`.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.actuation import TravellingWave, TwoPlanes
+    >>> one = TravellingWave(amplitude=0.1, wavenumber=1.0, frequency=1.0)
+    >>> two = TravellingWave(amplitude=0.1, wavenumber=1.0, frequency=1.0, phase=jnp.pi / 2)
+    >>> helix = TwoPlanes(one, two)(jnp.zeros(()), jnp.array([2.0, 4.0]), jnp.array([8.0, 8.0]))
+    >>> print(jnp.linalg.norm(helix, axis=1).round(4))  # along two normals of each joint
+    [0.1 0.1]
     """
 
     first: Planar

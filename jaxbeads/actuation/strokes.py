@@ -33,6 +33,12 @@ class TwoStrokes(AbstractCurvature):
     - `hinge`: b.
 
     **Raises** `ValueError` for other shapes and numbers that cannot be.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.actuation import TwoStrokes
+    >>> beat = TwoStrokes(swing=1.0, frequency=1.0)
+    >>> print(beat(jnp.array(0.5), jnp.array([2.0, 6.0]), jnp.array([8.0, 8.0])).round(3))
+    [ 0.303 -0.081]
     """
 
     swing: Float[Array, ""] = eqx.field(converter=float_array)

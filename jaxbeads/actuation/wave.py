@@ -23,6 +23,12 @@ class TravellingWave(AbstractCurvature):
     - `phase`: phi [rad], one for all joints or one each.
 
     **Raises** `ValueError` for other shapes and numbers that are not finite.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.actuation import TravellingWave
+    >>> wave = TravellingWave(amplitude=0.1, wavenumber=jnp.pi / 4, frequency=1.0)
+    >>> print(wave(jnp.zeros(()), jnp.array([2.0, 4.0]), jnp.array([8.0, 8.0])).round(4))
+    [0.1 0. ]
     """
 
     amplitude: Array = eqx.field(converter=float_array)

@@ -24,6 +24,20 @@ class AbstractConstraint(eqx.Module):
 
     `slip` is all that a new constraint has to say: J and B follow from it, and with them the
     constraint forces J^T lambda, eqs (11)-(17). It need not be integrable.
+
+    >>> from typing import ClassVar
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.constraint import AbstractConstraint
+    >>> class Level(AbstractConstraint):  # both ends are at the same height
+    ...     rotational: ClassVar[bool] = False
+    ...     def slip(self, t, state, motion, chain):
+    ...         return motion.velocity[-1, 1] - motion.velocity[0, 1]
+    >>> chain = jb.Chain(radius=1.0, fibres=3)
+    >>> weight = jb.force.Weight([[0.0, 0.0], [0.0, 0.0], [0.0, -1.0]])  # of the last bead alone
+    >>> scene = jb.Scene(chain, 1.0, constraints=[Level()], forces=[weight])
+    >>> v = jb.dynamics.motion(0.0, jb.straight(chain, [1.0, 0.0]), scene).velocity
+    >>> print(abs(v[0, 1] - v[2, 1]) < 1e-15)
+    True
     """
 
     rotational: eqx.AbstractClassVar[bool]
@@ -58,7 +72,8 @@ class AbstractConstraint(eqx.Module):
     ) -> tuple[Array, Array] | None:
         """How far what it prescribes is from where its law leads since the start (a time and a state),
         and how far the law leads, vectors of any number [length]. `None` if it has no law of places.
-        Only a law's derivative is enforced: where the law jumps, nobody follows."""
+        Only a law's derivative is enforced: where the law jumps, nobody follows.
+        """
         return None
 
     def check(self, chain: Chain, dim: int) -> None:
@@ -72,6 +87,12 @@ class AbstractChainConstraint(AbstractConstraint):
 
     It knows a direct way to S = J M J^T (any other constraint's is built by columns), and what its
     rows keep when integrated exactly, so that the drift of time stepping can be measured and removed.
+
+    >>> from jaxbeads.constraint import AbstractChainConstraint, Gears, PrescribedSpin
+    >>> print(isinstance(Gears(), AbstractChainConstraint))
+    True
+    >>> print(isinstance(PrescribedSpin(), AbstractChainConstraint))
+    False
     """
 
     links: ClassVar[bool] = True
@@ -119,7 +140,8 @@ def ends(row: int, column: int) -> Difference:
 
 def regular(block: Array, mask: np.ndarray, scale: Array | None) -> Array:
     """A block of S whose rows between two fibres are zero, but for `scale` on the diagonal if given, so
-    that S stays regular."""
+    that S stays regular.
+    """
     if mask.all():
         return block
     block = jnp.where(mask[:, None] & mask[None, :], block, 0.0)

@@ -11,7 +11,17 @@ from .base import AbstractConstraint
 
 class EqualSpins(AbstractConstraint):
     """w_i = w_{i+1}: together with `Gears` or `Joint` it makes each fibre a rigid body, in the plane and
-    in space. (`FrozenJoints` also freezes the shape, but lets the beads roll.)"""
+    in space. (`FrozenJoints` also freezes the shape, but lets the beads roll.)
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.constraint import EqualSpins
+    >>> chain = jb.Chain(radius=1.0, fibres=2)
+    >>> wheels = jb.Motion(velocity=jnp.zeros((2, 2)), spin=jnp.array([[1.0], [-1.0]]))
+    >>> state = jb.straight(chain, [1.0, 0.0])
+    >>> print(EqualSpins().slip(jnp.zeros(()), state, wheels, chain).ravel())
+    [-2.]
+    """
 
     rotational: ClassVar[bool] = True
     turning: ClassVar[bool] = True

@@ -15,6 +15,18 @@ class FrozenJoints(AbstractConstraint):
 
     The limit K_b -> infinity of `Bending`, without its small time step; together with a constraint
     that keeps the bond lengths the fibre is rigid, while its beads may still roll. Planar scenes only.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.constraint import FrozenJoints
+    >>> chain = jb.Chain(radius=1.0, fibres=3)
+    >>> state = jb.straight(chain, [1.0, 0.0])
+    >>> turn = jb.Motion(velocity=jnp.array([[0.0, -1.0], [0.0, 0.0], [0.0, 1.0]]))
+    >>> bend = jb.Motion(velocity=jnp.array([[0.0, 1.0], [0.0, 0.0], [0.0, 1.0]]))
+    >>> for moved in (turn, bend):
+    ...     print(FrozenJoints().slip(jnp.zeros(()), state, moved, chain).ravel())
+    [0.]
+    [1.]
     """
 
     rotational: ClassVar[bool] = False

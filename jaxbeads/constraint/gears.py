@@ -33,6 +33,15 @@ class Gears(AbstractChainConstraint):
 
     A straight chain also admits the spins w_i = (-1)^i c ("counter-rotation"), which only torques
     or an odd number of beads excite.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.constraint import Gears
+    >>> chain = jb.Chain(radius=1.0, fibres=2)
+    >>> wheels = jb.Motion(velocity=jnp.zeros((2, 2)), spin=jnp.array([[1.0], [-1.0]]))
+    >>> state = jb.straight(chain, [1.0, 0.0])
+    >>> print(abs(Gears().slip(jnp.zeros(()), state, wheels, chain)).max())  # they roll on one another
+    0.0
     """
 
     rotational: ClassVar[bool] = True

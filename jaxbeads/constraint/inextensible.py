@@ -20,6 +20,15 @@ class Inextensible(AbstractChainConstraint):
     The multipliers are minus the tensions of the bonds [force]. Beads need not turn: with
     `BendingEnergy` the scene has no rotation at all and a third of the unknowns of `Gears` in space.
     Without rotation a chain of beads lies in a shear flow as a line would (`Gears` for Jeffery orbits).
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.constraint import Inextensible
+    >>> chain = jb.Chain(radius=1.0, fibres=2)
+    >>> state = jb.straight(chain, [1.0, 0.0])
+    >>> apart = jb.Motion(velocity=jnp.array([[0.0, 0.0], [0.5, 3.0]]))
+    >>> print(Inextensible().slip(jnp.zeros(()), state, apart, chain))
+    [-0.5]
     """
 
     rotational: ClassVar[bool] = False

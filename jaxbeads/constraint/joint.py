@@ -22,6 +22,15 @@ class Joint(AbstractChainConstraint):
     eps_g of the chain lets it bend up to a curvature before beads overlap
     (`dimensionless.largest_joint_curvature`). Pair it with `JointBending`. `slip` has shape
     `(dim, beads - 1)`; rows between two fibres are zero.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.constraint import Joint
+    >>> chain = jb.Chain(radius=1.0, fibres=2, gap=0.1)
+    >>> state = jb.from_directors(chain, [[1.0, 0.0], [1.0, 0.0]])
+    >>> still = jb.Motion(velocity=jnp.zeros((2, 2)), spin=jnp.array([[1.0], [0.0]]))
+    >>> print(Joint().slip(jnp.zeros(()), state, still, chain).ravel())  # l w at the joint, across
+    [0.  1.1]
     """
 
     rotational: ClassVar[bool] = True
@@ -69,7 +78,8 @@ class Joint(AbstractChainConstraint):
 
     def bond_errors(self, state: State, chain: Chain) -> Float[Array, " bonds"]:
         """Distance of the two beads' joints over the bond length, or the error of their directors'
-        lengths if that is larger: time stepping keeps eq. (2), which is linear, even where it fails."""
+        lengths if that is larger: time stepping keeps eq. (2), which is linear, even where it fails.
+        """
         if state.director is None:
             raise ValueError("Argument `state` must hold directors for Joint, but it holds none.")
         apart = norm(bonds(state.position) - linked(chain, state.director))

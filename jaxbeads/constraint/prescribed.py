@@ -84,6 +84,15 @@ class PrescribedPosition(AbstractConstraint):
       or `Inextensible` a hinge).
     - `bead`: index of the bead; -1 is the last one. Of several beads a sequence of indices, with a law
       of shape `(their number, dim)`.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.constraint import PrescribedPosition
+    >>> chain = jb.Chain(radius=1.0, fibres=3)
+    >>> shaken = PrescribedPosition(lambda t: jnp.stack([0.0 * t, jnp.sin(2.0 * t)]), bead=0)
+    >>> scene = jb.Scene(chain, 1.0, constraints=[shaken])
+    >>> print(jb.dynamics.motion(0.0, jb.straight(chain, [1.0, 0.0]), scene).velocity[0].round(12))
+    [0. 2.]
     """
 
     rotational: ClassVar[bool] = False
@@ -137,6 +146,15 @@ class PrescribedSpin(AbstractConstraint):
       [1/time]. `None`: no spin.
     - `bead`: index of the bead; -1 is the last one. Of several beads a sequence, as for
       `PrescribedPosition`.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.constraint import Gears, PrescribedSpin
+    >>> chain = jb.Chain(radius=1.0, fibres=3)
+    >>> driven = PrescribedSpin(lambda t: jnp.stack([2.0 + 0.0 * t]), bead=-1)
+    >>> scene = jb.Scene(chain, 1.0, constraints=[Gears(), driven])
+    >>> print(jb.dynamics.motion(0.0, jb.straight(chain, [1.0, 0.0]), scene).spin[-1].round(12))
+    [2.]
     """
 
     rotational: ClassVar[bool] = True
@@ -176,6 +194,16 @@ class PrescribedDirection(AbstractConstraint):
     - `bond`: index of the bond, from bead `bond` to the next; -1 is the last one. Indices count the
       rows of neighbours of all fibres; one that leads from a fibre to the next is refused. Of several
       bonds a sequence, as for `PrescribedPosition`.
+
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.actuation import PlanarBeat
+    >>> from jaxbeads.constraint import Inextensible, PrescribedDirection
+    >>> chain = jb.Chain(radius=1.0, fibres=3)
+    >>> beat = PrescribedDirection(PlanarBeat(amplitude=0.5, angular_frequency=3.0))
+    >>> scene = jb.Scene(chain, 1.0, constraints=[Inextensible(), beat])
+    >>> v = jb.dynamics.motion(0.0, jb.straight(chain, [1.0, 0.0]), scene).velocity
+    >>> print(f"{(v[1] - v[0])[1]:.6f}")  # 2 a alpha_0 zeta
+    3.000000
     """
 
     rotational: ClassVar[bool] = False
@@ -194,7 +222,8 @@ class PrescribedDirection(AbstractConstraint):
 
     def slip(self, t: Float[Array, ""], state: State, motion: Motion, chain: Chain) -> Array:
         """Normal velocity of the bond's end about its start minus the law's [length/time],
-        `(dim - 1,)`."""
+        `(dim - 1,)`.
+        """
         d = bonds(state.position)[_at(self.bond)]
         e, turning = unit(d), bonds(motion.velocity)[_at(self.bond)]
         if self.law is not None:
@@ -210,7 +239,8 @@ class PrescribedDirection(AbstractConstraint):
         chain: Chain,
     ) -> tuple[Array, Array] | None:
         """The way of the bond's end about its beginning minus that of the law, and that of the law, if
-        the bond started along it."""
+        the bond started along it.
+        """
         if self.law is None:
             return None
         (before, then), length = start, chain.bond_length[_at(self.bond)]
@@ -229,6 +259,16 @@ class PrescribedLengths(AbstractConstraint):
 
     - `law`: function of the time that returns all bond lengths, shape `(beads - 1,)` [length]; only
       its derivative is used. Entries between two fibres are ignored.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.constraint import PrescribedLengths
+    >>> chain = jb.Chain(radius=1.0, fibres=3, gap=1.0)
+    >>> arms = PrescribedLengths(lambda t: 4.0 + 0.5 * jnp.stack([jnp.sin(t), jnp.cos(t)]))
+    >>> scene = jb.Scene(chain, viscosity=1.0, constraints=[arms])
+    >>> v = jb.dynamics.motion(0.0, jb.straight(chain, [1.0, 0.0]), scene).velocity
+    >>> print(jnp.diff(v[:, 0]).round(12) + 0.0)  # the first lengthens
+    [0.5 0. ]
     """
 
     rotational: ClassVar[bool] = False
@@ -271,6 +311,21 @@ def clamped(
       to the next bead if it is counted from the first, with that from the bead before if it is counted
       from the last, as -1. Several ends as a sequence: `chain.first_beads`, `chain.last_beads`.
     - `spinless`: for scenes without rotation; otherwise the bead's spin is held too, eq. (59).
+
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.constraint import Gears, clamped
+    >>> from jaxbeads.force import Bending, Weight
+    >>> for held in clamped():
+    ...     print(jb.dynamics.named(held))
+    PrescribedPosition(bead=0)
+    PrescribedDirection(bond=0)
+    PrescribedSpin(bead=0)
+    >>> beam = jb.Scene(
+    ...     jb.Chain(radius=1.0, fibres=5),
+    ...     viscosity=1.0,
+    ...     constraints=[Gears(), *clamped()],
+    ...     forces=[Bending(100.0), Weight([0.0, -0.1])],
+    ... )
     """
     end = _indices(end)
     held = (PrescribedPosition(bead=end), PrescribedDirection(bond=end))
@@ -278,5 +333,11 @@ def clamped(
 
 
 def hinged(end: int | Sequence[int] = 0) -> tuple[AbstractConstraint, ...]:
-    """Constraints that hinge an end, or several as for `clamped`: its bead is held, free to turn."""
+    """Constraints that hinge an end, or several as for `clamped`: its bead is held, free to turn.
+
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.constraint import hinged
+    >>> print([jb.dynamics.named(held) for held in hinged(-1)])
+    ['PrescribedPosition(bead=-1)']
+    """
     return (PrescribedPosition(bead=_indices(end)),)

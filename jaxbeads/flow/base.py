@@ -11,7 +11,16 @@ from jaxtyping import Array, Float
 
 
 class AbstractFlow(eqx.Module):
-    """Velocity of the undisturbed fluid. Spin and rate of strain follow by differentiation."""
+    """Velocity of the undisturbed fluid. Spin and rate of strain follow by differentiation.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.flow import AbstractFlow
+    >>> class Vortex(AbstractFlow):
+    ...     def velocity(self, t, x):
+    ...         return jnp.stack([-x[1], x[0]]) / (1.0 + x @ x)
+    >>> print(Vortex().velocity(jnp.zeros(()), jnp.array([0.0, 1.0])))
+    [-0.5  0. ]
+    """
 
     smooth: ClassVar[bool] = False
     """Whether the velocity changes little over a bead's radius and, unless it depends on the time, along
@@ -26,7 +35,8 @@ class AbstractFlow(eqx.Module):
 
     def laplacian(self, t: Float[Array, ""], x: Float[Array, " dim"]) -> Float[Array, " dim"]:
         """Laplacian of the velocity at the point x [1/(length time)], by differentiation unless
-        overridden. (A planar flow is the same at any height above its plane.)"""
+        overridden. (A planar flow is the same at any height above its plane.)
+        """
 
         def second(axis: Array) -> Array:
             along = partial(jax.jvp, lambda x: self.velocity(t, x))
@@ -36,7 +46,16 @@ class AbstractFlow(eqx.Module):
 
 
 class AbstractLinearFlow(AbstractFlow):
-    """A flow u = G(t) x whose gradient is the same everywhere: cheaper than a general one."""
+    """A flow u = G(t) x whose gradient is the same everywhere: cheaper than a general one.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.flow import AbstractLinearFlow
+    >>> class Turning(AbstractLinearFlow):
+    ...     def gradient(self, t, dim):
+    ...         return jnp.array([[0.0, -1.0], [1.0, 0.0]])
+    >>> print(Turning().velocity(jnp.zeros(()), jnp.array([2.0, 1.0])))
+    [-1.  2.]
+    """
 
     smooth: ClassVar[bool] = True
 

@@ -18,6 +18,14 @@ class VelocityField(AbstractFlow):
     follow by differentiation, so the function needs derivatives up to the third (the fourth for implicit
     solvers). A function that is a pytree (an
     `equinox.Module`) keeps its parameters as leaves; what a plain function closes over is constant.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.flow import VelocityField
+    >>> wave = VelocityField(lambda t, x: jnp.stack([jnp.sin(x[1]), 0.0 * x[1]]))
+    >>> print(wave.velocity(jnp.zeros(()), jnp.array([0.0, jnp.pi / 2])))
+    [1. 0.]
+    >>> print(wave.laplacian(jnp.zeros(()), jnp.array([0.0, jnp.pi / 2]))[0])
+    -1.0
     """
 
     function: Callable[[Array, Array], Array] = eqx.field(converter=leaf_function)

@@ -13,7 +13,21 @@ from .base import AbstractLinearFlow
 
 
 class Shear(AbstractLinearFlow):
-    """Simple shear, u_x = rate y. **Argument** `rate`: shear rate [1/time]."""
+    """Simple shear, u_x = rate y. **Argument** `rate`: shear rate [1/time].
+
+    **Raises** `ValueError` for numbers that are not finite or of another shape.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.flow import Shear
+    >>> bead = jb.Chain(radius=1.0, fibres=1)
+    >>> scene = jb.Scene(bead, 1.0, flow=Shear(2.0), forces=[jb.force.Weight([0.0, 0.0])])
+    >>> print(jb.dynamics.motion(0.0, jb.State([[0.0, 3.0]]), scene).velocity)
+    [[6. 0.]]
+    >>> print(Shear(2.0).gradient(jnp.zeros(()), 2))
+    [[0. 2.]
+     [0. 0.]]
+    """
 
     rate: Float[Array, ""] = eqx.field(converter=float_array)
 
@@ -30,6 +44,14 @@ class OscillatingShear(AbstractLinearFlow):
     """Time-dependent shear, u_x = rate cos(angular_frequency t + phase) y.
 
     **Arguments** `rate` [1/time], `angular_frequency` [rad/time], `phase` [rad].
+
+    **Raises** `ValueError` for numbers that are not finite or of another shape.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.flow import OscillatingShear
+    >>> flow = OscillatingShear(rate=2.0, angular_frequency=jnp.pi)
+    >>> print(flow.velocity(jnp.ones(()), jnp.array([0.0, 3.0])))  # half a period later
+    [-6.  0.]
     """
 
     rate: Float[Array, ""] = eqx.field(converter=float_array)
@@ -51,7 +73,15 @@ class OscillatingShear(AbstractLinearFlow):
 
 
 class Extension(AbstractLinearFlow):
-    """Planar extension, u = rate (x, -y). **Argument** `rate` [1/time]."""
+    """Planar extension, u = rate (x, -y). **Argument** `rate` [1/time].
+
+    **Raises** `ValueError` for numbers that are not finite or of another shape.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.flow import Extension
+    >>> print(Extension(2.0).velocity(jnp.zeros(()), jnp.array([1.0, 3.0])))
+    [ 2. -6.]
+    """
 
     rate: Float[Array, ""] = eqx.field(converter=float_array)
 
@@ -73,6 +103,12 @@ class LinearFlow(AbstractLinearFlow):
     free of divergence; in the plane the normal direction makes up for what is missing.
 
     **Raises** `ValueError` for another shape or a spatial gradient with a trace.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.flow import LinearFlow
+    >>> flow = LinearFlow([[0.0, 2.0], [1.0, 0.0]])
+    >>> print(flow.velocity(jnp.zeros(()), jnp.array([1.0, 3.0])))
+    [6. 1.]
     """
 
     matrix: Float[Array, "dim dim"] = eqx.field(converter=float_array)

@@ -17,6 +17,14 @@ class Poiseuille(AbstractFlow):
     A sphere is slower than the fluid at its centre, by speed a^2 / (3 half_width^2).
 
     **Arguments** `speed` on the centre line [length/time], `half_width` [length], positive.
+
+    **Raises** `ValueError` for a half width that is not positive, and numbers that are not finite.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.flow import Poiseuille
+    >>> flow = Poiseuille(speed=2.0, half_width=10.0)
+    >>> print(flow.velocity(jnp.zeros(()), jnp.array([0.0, 5.0])))
+    [1.5 0. ]
     """
 
     smooth: ClassVar[bool] = True

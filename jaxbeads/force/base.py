@@ -15,7 +15,21 @@ from ..state import Load, State
 
 class AbstractForce(eqx.Module):
     """Loads on the beads as a function of time and state; of the scene it reads chain, viscosity and
-    domain."""
+    domain.
+
+    >>> from typing import ClassVar
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.force import AbstractForce
+    >>> class Rising(AbstractForce):  # lighter than the fluid, and more so in time
+    ...     rotational: ClassVar[bool] = False
+    ...     def load(self, t, state, scene):
+    ...         return jb.Load(force=jnp.zeros_like(state.position).at[:, 1].set(t))
+    >>> scene = jb.Scene(jb.Chain(radius=1.0, fibres=1), 1.0, forces=[Rising()])
+    >>> v = jb.dynamics.motion(6 * jnp.pi, jb.State([[0.0, 0.0]]), scene).velocity
+    >>> print(v.round(12))  # F/(6 pi mu a)
+    [[0. 1.]]
+    """
 
     rotational: eqx.AbstractClassVar[bool]
     """Whether the load holds torques."""
@@ -43,12 +57,14 @@ class AbstractForce(eqx.Module):
 
     def passed(self, before: State, after: State, scene: Setting) -> Bool[Array, ""]:
         """Whether beads that go straight from one state to another pass something that acts on them on
-        the way, but at neither end: such a step is tried again with a smaller one."""
+        the way, but at neither end: such a step is tried again with a smaller one.
+        """
         return jnp.zeros((), bool)
 
     def begin(self, state: State, scene: Setting) -> Float[Array, "..."] | None:
         """Numbers of order one, any shape, that the force owns: they start from these, change at
-        `own_rate`, and are in `state.own` where the force is asked. `None`: it owns nothing."""
+        `own_rate`, and are in `state.own` where the force is asked. `None`: it owns nothing.
+        """
         return None
 
     def own_rate(self, t: Float[Array, ""], state: State, scene: Setting) -> Float[Array, "..."]:
@@ -61,12 +77,26 @@ class AbstractForce(eqx.Module):
 
     def explicit_step(self, scene: Setting) -> Float[Array, ""]:
         """Time step [time] that is safe for explicit solvers where this force is stiff: half of AB3's
-        limit, 6/11 over the fastest rate, or less. Infinite unless a force knows better."""
+        limit, 6/11 over the fastest rate, or less. Infinite unless a force knows better.
+        """
         return jnp.asarray(jnp.inf)
 
 
 class AbstractPotential(AbstractForce):
-    """A force that is minus the gradient of an energy. `energy` is all that it has to say."""
+    """A force that is minus the gradient of an energy. `energy` is all that it has to say.
+
+    >>> from typing import ClassVar
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.force import AbstractPotential
+    >>> class Trap(AbstractPotential):
+    ...     rotational: ClassVar[bool] = False
+    ...     def energy(self, t, state, scene):
+    ...         return 0.5 * jnp.sum(state.position**2)
+    >>> setting = jb.Setting(jb.Chain(radius=1.0, fibres=1), viscosity=1.0)
+    >>> print(Trap().load(jnp.zeros(()), jb.State([[3.0, 1.0]]), setting).force)
+    [[-3. -1.]]
+    """
 
     rotational: eqx.AbstractClassVar[bool]
 
@@ -85,7 +115,8 @@ class AbstractPotential(AbstractForce):
 
 def repulsion(gap: Array, roughness: Array, decay: Array) -> Array:
     """Profile of the repulsive force between surfaces at the distance `gap`, eq. (43), over its scale:
-    0 beyond the roughness, rising linearly to 1 at minus the roughness, exponential beyond."""
+    0 beyond the roughness, rising linearly to 1 at minus the roughness, exponential beyond.
+    """
     deep = jnp.minimum(gap + roughness, 0.0)  # bounded where the other branch holds
     ramp = 0.5 - gap / (2 * roughness)
     return jnp.where(gap > roughness, 0.0, jnp.where(deep < 0, jnp.exp(-deep / decay), ramp))

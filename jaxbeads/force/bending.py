@@ -93,6 +93,16 @@ class Bending(AbstractForce):
     - `discrete_curvature`: `CrossProductCurvature()` (34) or `SineRuleCurvature()` (33).
 
     **Raises** `ValueError` for a negative rigidity, values that are not finite, or wrong shapes.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.force import Bending
+    >>> chain = jb.Chain(radius=1.0, fibres=3)
+    >>> bent = jb.State(jb.from_tangents(chain, [[1.0, 0.0], [0.8, 0.6]]))  # kappa = 0.6/2
+    >>> setting = jb.Setting(chain, viscosity=1.0)
+    >>> torque = Bending(rigidity=10.0).load(jnp.zeros(()), bent, setting).torque
+    >>> print(torque.round(6).ravel())  # half of K_b kappa, none, minus half of it
+    [ 1.5  0.  -1.5]
     """
 
     rotational: ClassVar[bool] = True
@@ -139,7 +149,8 @@ class Bending(AbstractForce):
 
     def energy(self, t: Float[Array, ""], state: State, scene: Setting) -> Float[Array, ""]:
         """Bending energy [force length], that of `BendingEnergy`. **Raises** `ValueError` for a
-        curvature at rest given as vectors."""
+        curvature at rest given as vectors.
+        """
         return _energy(self, t, state, scene.chain)
 
     def framed(self, chain: Chain) -> bool:
@@ -182,6 +193,14 @@ class DrivingMoment(AbstractForce):
 
     **Argument**: `moment`: as `intrinsic_curvature` of `Bending` [force length]: numbers, or a
     function of time, arclength and length.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.force import DrivingMoment
+    >>> chain = jb.Chain(radius=1.0, fibres=3)
+    >>> state, setting = jb.straight(chain, [1.0, 0.0]), jb.Setting(chain, viscosity=1.0)
+    >>> print(DrivingMoment(2.0).load(jnp.zeros(()), state, setting).torque.ravel() + 0.0)
+    [-1.  0.  1.]
     """
 
     rotational: ClassVar[bool] = True
@@ -219,6 +238,17 @@ class BendingEnergy(AbstractPotential):
     serves chains without spins. Arguments as there, except that `intrinsic_curvature` is a number, one
     for each joint or a function that returns these (in space it acts on the unsigned angle and leaves
     a straight joint straight).
+
+    **Raises** `ValueError` as `Bending`, and for a curvature at rest given as vectors.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.force import BendingEnergy
+    >>> chain = jb.Chain(radius=1.0, fibres=3)
+    >>> bent = jb.State(jb.from_tangents(chain, [[1.0, 0.0], [0.8, 0.6]]))  # cos phi = 0.8
+    >>> setting = jb.Setting(chain, viscosity=1.0)
+    >>> print(f"{BendingEnergy(rigidity=10.0).energy(jnp.zeros(()), bent, setting):.6f}")
+    1.000000
     """
 
     rotational: ClassVar[bool] = False
@@ -257,7 +287,8 @@ class BendingEnergy(AbstractPotential):
     def explicit_step(self, scene: Setting) -> Float[Array, ""]:
         """Half of AB3's limit, 6/11 over the fastest rate, which is at most 16 (K_b / l^3)/(6 pi mu a):
         0.16 times the paper's step (39). Forces across a fibre move single beads, as torques do not;
-        with interactions between beads the limit is 2.7 times as far."""
+        with interactions between beads the limit is 2.7 times as far.
+        """
         chain = scene.chain
         share = jnp.min(chain.radius) / (2 * jnp.min(chain.radius + chain.gap))
         return 3 / 11 * 6 * np.pi / 16 * share * _bending_step(self.rigidity, scene)

@@ -28,6 +28,16 @@ class Contact(AbstractForce):
     - `decay`: d_0, length of the exponential growth beyond [length].
 
     **Raises** `ValueError` for a negative strength and lengths that are not positive.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.force import Contact
+    >>> two = jb.Chain(radius=1.0, fibres=[1, 1])
+    >>> touching = jb.State([[0.0, 0.0], [2.0, 0.0]])
+    >>> repulsion = Contact(strength=3.0, roughness=0.1, decay=0.1)
+    >>> print(repulsion.load(jnp.zeros(()), touching, jb.Setting(two, viscosity=1.0)).force)
+    [[-1.5  0. ]
+     [ 1.5  0. ]]
     """
 
     rotational: ClassVar[bool] = False
@@ -46,7 +56,8 @@ class Contact(AbstractForce):
 
     def passed(self, before: State, after: State, scene: Setting) -> Bool[Array, ""]:
         """Whether two beads come closer on the way than at both ends, by more than half the roughness,
-        and repel each other there."""
+        and repel each other there.
+        """
         chain = scene.chain
         index = jnp.arange(chain.beads)
         beads = (

@@ -23,7 +23,18 @@ Curvature = Array | Callable[[Array, Array, Array], Array]
 
 
 class AbstractDiscreteCurvature(eqx.Module):
-    """Discrete curvature at a joint where the tangent turns by phi over the arclength l (= 2a)."""
+    """Discrete curvature at a joint where the tangent turns by phi over the arclength l (= 2a).
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.force import AbstractDiscreteCurvature
+    >>> class Angle(AbstractDiscreteCurvature):  # kappa = phi/l, for turns that do not vanish
+    ...     def secant(self, cosine):
+    ...         return jnp.arccos(cosine) / jnp.sqrt(1 - cosine**2)
+    ...     def energy(self, cosine):
+    ...         return jnp.arccos(cosine) ** 2 / 2
+    >>> print(f"{Angle().energy(jnp.cos(0.2)):.6f}")
+    0.020000
+    """
 
     @abc.abstractmethod
     def secant(self, cosine: Array) -> Array:
@@ -36,7 +47,14 @@ class AbstractDiscreteCurvature(eqx.Module):
 
 class CrossProductCurvature(AbstractDiscreteCurvature):
     """kappa = |e x e'| / (2a), eq. (34); energy K_b (1 - cos phi) / (2a). Smooth for a straight and a
-    folded chain; weakens when the chain turns by more than a right angle at one bead."""
+    folded chain; weakens when the chain turns by more than a right angle at one bead.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.force import CrossProductCurvature
+    >>> curve, turn = CrossProductCurvature(), jnp.pi / 6
+    >>> print(f"{curve.secant(jnp.cos(turn)) * jnp.sin(turn):.4f} {curve.energy(jnp.cos(turn)):.4f}")
+    0.5000 0.1340
+    """
 
     def secant(self, cosine: Array) -> Array:
         """1."""
@@ -49,7 +67,14 @@ class CrossProductCurvature(AbstractDiscreteCurvature):
 
 class SineRuleCurvature(AbstractDiscreteCurvature):
     """kappa = sin(phi/2) / a, eq. (33): the circle through three neighbouring centres; energy
-    (2 K_b / a)(1 - cos(phi/2)). Grows up to the fold, where its direction is undefined."""
+    (2 K_b / a)(1 - cos(phi/2)). Grows up to the fold, where its direction is undefined.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.force import SineRuleCurvature
+    >>> curve, turn = SineRuleCurvature(), jnp.pi / 3
+    >>> print(f"{curve.secant(jnp.cos(turn)) * jnp.sin(turn):.6f}")  # kappa 2a = 2 sin(phi/2)
+    1.000000
+    """
 
     def _half(self, cosine: Array) -> Array:
         square = 0.5 * (1 + cosine)
@@ -94,7 +119,8 @@ def rest_at(
     dim: int,
 ) -> Array:
     """Curvature at rest at one instant, `(joints,)`, in space also `(joints, 2)` or `(joints, 3)`; its
-    name, for what a function has wrong."""
+    name, for what a function has wrong.
+    """
     if not isinstance(intrinsic, jax.Array):
         return curvature_of(name, intrinsic, t, arclength, length, dim)
     return intrinsic if intrinsic.ndim else jnp.broadcast_to(intrinsic, arclength.shape)
@@ -115,7 +141,8 @@ def moments(
     rest: Float[Array, "joints spins"],
 ) -> Float[Array, "joints spins"]:
     """K_b (kappa - kappa_0) at joints where a tangent turns from `before` to `after` over the arclength
-    `span`."""
+    `span`.
+    """
     sine, cosine = cross(before, after), jnp.sum(before * after, axis=-1)
     curvature = (discrete_curvature.secant(cosine) / span)[:, None] * sine
     return jnp.broadcast_to(rigidity, cosine.shape)[:, None] * (curvature - rest)
@@ -131,7 +158,8 @@ def oriented(
 ) -> Float[Array, "joints spins"]:
     """`rest` as vectors. In space one number acts along the present binormal, two along the normals of
     the joint's `fibre` (see `frames`), turned from its end-to-end direction to the joint's, three are
-    a vector already."""
+    a vector already.
+    """
     if rest.ndim < 2:
         sine = cross(before, after)
         return rest[:, None] * (unit(sine) if sine.shape[1] == 3 else jnp.ones_like(sine))

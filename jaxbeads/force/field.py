@@ -18,7 +18,17 @@ class ForceField(AbstractForce):
     """F = f(t, r) from a function of the time and all positions, `(beads, dim)`, that returns forces
     of the same shape. A function that is a pytree (an `equinox.Module`) keeps its parameters as
     leaves; what a plain function closes over is constant. `links`: whether it keeps neighbours
-    together."""
+    together.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.force import ForceField
+    >>> push = ForceField(lambda t, r: jnp.zeros_like(r).at[:, 0].set(jnp.cos(t)))
+    >>> setting = jb.Setting(jb.Chain(radius=1.0, fibres=2), viscosity=1.0)
+    >>> print(push.load(jnp.zeros(()), jb.State([[0.0, 0.0], [2.0, 0.0]]), setting).force)
+    [[1. 0.]
+     [1. 0.]]
+    """
 
     rotational: ClassVar[bool] = False
     function: Callable[[Array, Array], Array] = eqx.field(converter=leaf_function)
@@ -35,7 +45,16 @@ class ForceField(AbstractForce):
 
 class Potential(AbstractPotential):
     """E = f(t, r) from a function of the time and all positions, `(beads, dim)`, that returns an
-    energy; the force is minus its gradient. Leaves and `links` as in `ForceField`."""
+    energy; the force is minus its gradient. Leaves and `links` as in `ForceField`.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.force import Potential
+    >>> trap = Potential(lambda t, r: 0.5 * jnp.sum(r**2))
+    >>> setting = jb.Setting(jb.Chain(radius=1.0, fibres=1), viscosity=1.0)
+    >>> print(trap.load(jnp.zeros(()), jb.State([[3.0, 1.0]]), setting).force)
+    [[-3. -1.]]
+    """
 
     rotational: ClassVar[bool] = False
     function: Callable[[Array, Array], Array] = eqx.field(converter=leaf_function)

@@ -26,6 +26,14 @@ class Follower(AbstractForce):
 
     **Raises** `ValueError` for a force that is not one finite number and for other ends. A fibre of one
     bead has no direction: `check` refuses it.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.force import Follower
+    >>> chain = jb.Chain(radius=1.0, fibres=3)
+    >>> state, setting = jb.straight(chain, [1.0, 0.0]), jb.Setting(chain, viscosity=1.0)
+    >>> print(Follower(2.0).load(jnp.zeros(()), state, setting).force[-1] + 0.0)
+    [-2.  0.]
     """
 
     rotational: ClassVar[bool] = False

@@ -53,6 +53,12 @@ class JointRepulsion(eqx.Module):
     - `decay`: d_0 over the half bond length.
 
     **Raises** `ValueError` for negative numbers and lengths that are not positive.
+
+    >>> from jaxbeads.force import JointBending, JointRepulsion
+    >>> weight = 31.0  # of the whole fibre
+    >>> force = JointBending(157.0, repulsion=JointRepulsion(viscous=0.01 * weight, elastic=0.01))
+    >>> print(force.repulsion.viscous)
+    0.31
     """
 
     viscous: Float[Array, ""] = eqx.field(converter=float_array, default=0.0)
@@ -85,6 +91,15 @@ class JointBending(AbstractForce):
     - `repulsion`: between neighbours, a `JointRepulsion`, or `None`.
 
     **Raises** `ValueError` for a negative rigidity, values that are not finite, or wrong shapes.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.force import JointBending
+    >>> chain = jb.Chain(radius=1.0, fibres=2, gap=0.1)
+    >>> bent = jb.from_directors(chain, [[1.0, 0.0], [0.0, 1.0]])
+    >>> torque = JointBending(rigidity=10.0).load(jnp.zeros(()), bent, jb.Setting(chain, 1.0)).torque
+    >>> print(torque.round(4).ravel())  # 10 sin(45 degrees)/1.1
+    [ 6.4282 -6.4282]
     """
 
     rotational: ClassVar[bool] = True
@@ -173,7 +188,8 @@ class JointBending(AbstractForce):
 
     def explicit_step(self, scene: Setting) -> Float[Array, ""]:
         """A fifth of the paper's step (39), and as far below AB3's limit: a joint's moment turns single
-        beads, whose fastest rate is about 4 (K_b / l) / (8 pi mu a^3)."""
+        beads, whose fastest rate is about 4 (K_b / l) / (8 pi mu a^3).
+        """
         chain = scene.chain
         most = stiffest(self.rigidity, chain.bond_mask)
         radius = jnp.min(chain.radius)

@@ -27,6 +27,15 @@ class Spring(AbstractPotential):
     **Arguments**: `stiffness` k_s [force/length], one for all bonds or one each, `(beads - 1,)`.
 
     **Raises** `ValueError` for a negative stiffness or another shape.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.force import Spring
+    >>> setting = jb.Setting(jb.Chain(radius=1.0, fibres=2), viscosity=1.0)
+    >>> stretched = jb.State([[0.0, 0.0], [2.5, 0.0]])  # by 0.5
+    >>> print(Spring(4.0).load(jnp.zeros(()), stretched, setting).force + 0.0)
+    [[ 2.  0.]
+     [-2.  0.]]
     """
 
     rotational: ClassVar[bool] = False

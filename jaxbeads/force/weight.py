@@ -22,6 +22,13 @@ class Weight(AbstractForce):
     - `force`: force on a bead [force], shape `(dim,)` for all alike or `(beads, dim)`.
 
     **Raises** `ValueError` for forces that are not finite or of another shape.
+
+    >>> import jaxbeads as jb
+    >>> import numpy as np
+    >>> from jaxbeads.force import Weight
+    >>> scene = jb.Scene(jb.Chain(radius=1.0, fibres=1), 1.0, forces=[Weight([0.0, -6 * np.pi])])
+    >>> print(jb.dynamics.motion(0.0, jb.State([[0.0, 0.0]]), scene).velocity.round(12))
+    [[ 0. -1.]]
     """
 
     rotational: ClassVar[bool] = False

@@ -33,6 +33,18 @@ class AbstractMobility(eqx.Module):
     are assembled from fields of pairs (and large scenes are iterated), `gradient` finds the derivatives
     by the positions for pairs. `fluid_velocity`, if it knows of a fluid between the beads, is what
     `flow_field` shows.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> class Porous(jb.mobility.AbstractMobility):  # every bead with the same drag
+    ...     drag: float
+    ...     def motion(self, configuration, load):
+    ...         return jb.Motion(load.force / self.drag)
+    >>> chain = jb.Chain(radius=1.0, fibres=2)
+    >>> scene = jb.Scene(chain, 1.0, Porous(4.0), forces=[jb.force.Weight([0.0, -1.0])])
+    >>> print(jb.dynamics.motion(0.0, jb.straight(chain, [1.0, 0.0]), scene).velocity)
+    [[ 0.   -0.25]
+     [ 0.   -0.25]]
     """
 
     interacting: ClassVar[bool] = True
@@ -46,7 +58,8 @@ class AbstractMobility(eqx.Module):
 
     def is_dense(self, beads: int) -> bool:
         """Whether the multipliers of so many beads are found by a factorisation; otherwise by
-        iterations, for which it needs `tables` of some of the beads."""
+        iterations, for which it needs `tables` of some of the beads.
+        """
         return True
 
     def check(self, scene: Setting, flow: AbstractFlow | None, dim: int) -> None:
@@ -64,7 +77,8 @@ class AbstractMobility(eqx.Module):
         self, configuration: Configuration, strain_rate: Float[Array, "*beads dim dim"]
     ) -> Motion | None:
         """C : E for the ambient rate of strain at the beads [1/time], one for all or one for each;
-        `None` if there is none."""
+        `None` if there is none.
+        """
         return None
 
     def tables(self, configuration: Configuration) -> PairTensor | None:
@@ -80,7 +94,8 @@ class AbstractMobility(eqx.Module):
     ) -> Float[Array, "points 3"] | None:
         """Velocity of the fluid at points [length/time] that loads and the beads' resistance to a rate
         of strain drive, beside the ambient flow: that of which M and C are means over beads. All is in
-        space. `None` if it knows of no fluid."""
+        space. `None` if it knows of no fluid.
+        """
         return None
 
     def gradient(
@@ -112,7 +127,14 @@ class AbstractMobility(eqx.Module):
 
 @runtime_checkable
 class Product(Protocol):
-    """Anything that takes loads to motions: an `Operator`, or its tables."""
+    """Anything that takes loads to motions: an `Operator`, or its tables.
+
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.mobility import RPY, Product
+    >>> pair = jb.Configuration([[0.0, 0.0], [4.0, 0.0]], radius=1.0, viscosity=1.0)
+    >>> print(isinstance(RPY().operator(pair), Product), isinstance(RPY().tables(pair), Product))
+    True True
+    """
 
     def motion(self, load: Load) -> Motion:
         """M F."""
@@ -120,7 +142,16 @@ class Product(Protocol):
 
 
 class Operator(eqx.Module):
-    """The mobility at one configuration, of which nothing is kept: every product is found anew."""
+    """The mobility at one configuration, of which nothing is kept: every product is found anew.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> pair = jb.Configuration([[0.0, 0.0], [4.0, 0.0]], radius=1.0, viscosity=1.0)
+    >>> operator = jb.mobility.RPY().operator(pair)
+    >>> print((6 * jnp.pi * operator.motion(jb.Load(force=jnp.eye(2))).velocity).round(4))
+    [[1.     0.1953]
+     [0.3594 1.    ]]
+    """
 
     mobility: AbstractMobility
     configuration: Configuration

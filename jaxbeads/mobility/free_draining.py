@@ -20,6 +20,14 @@ class FreeDraining(AbstractMobility):
     The cheapest model; a straight chain then has the same friction along and across.
 
     **Argument**: `dense`: as for `RPY`; otherwise operations grow like the number of beads as well.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> pair = jb.Configuration([[0.0, 0.0], [2.0, 0.0]], radius=1.0, viscosity=1.0)
+    >>> load = jb.Load(force=jnp.array([[6 * jnp.pi, 0.0], [0.0, 0.0]]))
+    >>> print(jb.mobility.FreeDraining().motion(pair, load).velocity.round(12))
+    [[1. 0.]
+     [0. 0.]]
     """
 
     interacting: ClassVar[bool] = False

@@ -58,6 +58,14 @@ class RPY(AbstractMobility):
       by a factorisation. Otherwise pairs are summed anew for each product, multipliers are iterated
       (to 1e-12), and memory grows like the number of beads; `Rosenbrock` and steady states need the
       tables. By default up to 1000 beads.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> pair = jb.Configuration([[0.0, 0.0], [4.0, 0.0]], radius=1.0, viscosity=1.0)
+    >>> load = jb.Load(force=jnp.array([[6 * jnp.pi, 0.0], [0.0, 0.0]]))
+    >>> print(jb.mobility.RPY().motion(pair, load).velocity.round(6))  # 3a/(2R) - (a/R)^3
+    [[1.       0.      ]
+     [0.359375 0.      ]]
     """
 
     tabulated: ClassVar[bool] = True

@@ -25,7 +25,12 @@ _MOST = 2_000_000  # bytes of a gif that a talk or a page likes
 
 
 def can_encode() -> bool:
-    """Whether mp4 can be written: `imageio-ffmpeg` is installed."""
+    """Whether mp4 can be written: `imageio-ffmpeg` is installed.
+
+    >>> import jaxbeads.plot
+    >>> print(jaxbeads.plot.can_encode() in (True, False))
+    True
+    """
     try:
         return find_spec("imageio_ffmpeg") is not None
     except ValueError:  # it is there and has no place
@@ -46,6 +51,12 @@ def movie(
 
     **Arguments**: number of `frames`, spread evenly over the saved times; duration in `seconds`.
     **Returns** the path. **Raises** `ValueError` if it is neither .gif nor .mp4 or cannot be written.
+
+    >>> import jaxbeads as jb, jaxbeads.plot
+    >>> scene = jb.Scene(jb.Chain(1.0, 3), viscosity=1.0, forces=[jb.force.Weight([0.0, -6.0])])
+    >>> fall = jb.rollout(scene, jb.straight(scene.chain, [1.0, 0.0]), [0.0, 1.0, 2.0], substeps=1)
+    >>> print(jaxbeads.plot.movie(fall, scene.chain, "fall.gif", frames=2, seconds=1.0))
+    fall.gif
     """
     return movies(solution, chain, [path], frames=frames, seconds=seconds, view=view)[0]
 
@@ -59,7 +70,18 @@ def movies(
     seconds: float = 6.0,
     view: View = WHOLE,
 ) -> list[Path]:
-    """The same movie in several files, as a gif and an mp4. Arguments as for `movie`."""
+    """The same movie in several files, as a gif and an mp4. Arguments as for `movie`.
+
+    **Returns** the paths. **Raises** as `movie`.
+
+    >>> import jaxbeads as jb, jaxbeads.plot
+    >>> scene = jb.Scene(jb.Chain(1.0, 3), viscosity=1.0, forces=[jb.force.Weight([0.0, -6.0])])
+    >>> fall = jb.rollout(scene, jb.straight(scene.chain, [1.0, 0.0]), [0.0, 1.0, 2.0], substeps=1)
+    >>> for path in jaxbeads.plot.movies(fall, scene.chain, ["one.gif", "two.gif"], frames=2):
+    ...     print(path)
+    one.gif
+    two.gif
+    """
     files = [Path(path) for path in paths]
     for path in files:
         if path.suffix.lower() not in (".gif", ".mp4"):
@@ -175,7 +197,8 @@ _GREYS = (0, 40, 80, 120, 150, 165, 176, 188, 200, 210, 219, 230, 243, 255)
 
 def _palette(pictures: list[Image.Image], colours: int) -> Image.Image:
     """One palette for all, so that what does not change from one to the next costs nothing. Each shade
-    counts alike, or paper and floor would take most of them."""
+    counts alike, or paper and floor would take most of them.
+    """
     every = np.concatenate([np.asarray(p).reshape(-1, 3) for p in pictures])
     every = every[np.ptp(every, axis=1) > 12]
     palette = [shade for grey in _GREYS for shade in 3 * (grey,)]

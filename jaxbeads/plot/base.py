@@ -47,6 +47,12 @@ class View:
       the horizon. By default it looks from 20 degrees above, 25 degrees off the direction at right
       angles to where the beads are spread most.
     - `up`: direction that is up in space; by default away from the domain's plane, or z.
+
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.plot import View
+    >>> scene = jb.Scene(jb.Chain(1.0, 3), viscosity=1.0, domain=jb.NoSlipWall([0.0, 0.0], [0.0, 1.0]))
+    >>> print(View.of(scene).domain is scene.domain, View(plane=(0, 2)).plane)
+    True (0, 2)
     """
 
     co_moving: bool = False
@@ -60,7 +66,8 @@ class View:
     @classmethod
     def of(cls, scene: Scene, **options: Any) -> "View":
         """A view of a scene: its domain, up against its weight, co-moving if there is no flow, no
-        plane and no bead that is held. Other options as above."""
+        plane and no bead that is held. Other options as above.
+        """
         held = any(isinstance(term, PrescribedPosition) for term in scene.constraints)
         still = held or scene.flow is not None or isinstance(scene.domain, AbstractHalfSpace)
         own: dict[str, Any] = {"domain": scene.domain, "co_moving": not still}
@@ -104,7 +111,8 @@ class View:
 
     def wall(self, points: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray] | None:
         """A point of the domain's plane, in units of `length`, and its normal; `None` if it moves, or is
-        further from points than all of them are wide."""
+        further from points than all of them are wide.
+        """
         if self.co_moving or not isinstance(self.domain, AbstractHalfSpace):
             return None
         point = np.asarray(self.domain.point, float) / length
@@ -123,7 +131,8 @@ class View:
 
     def shown(self, points: np.ndarray, length: float) -> np.ndarray:
         """What has to be in the picture, shape `(n, 2)`: the points, and the domain's plane below them
-        unless it is further away than all of them are wide."""
+        unless it is further away than all of them are wide.
+        """
         points, plane = points.reshape(-1, 2), self._boundary(length)
         if plane is None:
             return points
@@ -167,7 +176,8 @@ def fitted(
     low: np.ndarray, high: np.ndarray, width: float, least: float, most: float
 ) -> tuple[np.ndarray, np.ndarray, tuple[float, float]]:
     """Limits and the size [inches] of axes with a scale of one to one: `width` wide, less where they
-    would be higher than `most`; limits are moved apart where a side would be shorter than `least`."""
+    would be higher than `most`; limits are moved apart where a side would be shorter than `least`.
+    """
     span = high - low
     scale = min(width / span[0], most / span[1])
     size = np.maximum(span * scale, least)

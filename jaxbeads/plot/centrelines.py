@@ -40,6 +40,15 @@ def shapes(
 
     The times are such that the shape changes equally much from one to the next. **Returns** a figure
     with equal axes in units of the first fibre's length L.
+
+    **Raises** `ValueError` for a number below 1 and a chain that does not fit.
+
+    >>> import jaxbeads as jb, jaxbeads.plot
+    >>> scene = jb.Scene(jb.Chain(1.0, 3), viscosity=1.0, forces=[jb.force.Weight([0.0, -6.0])])
+    >>> fall = jb.rollout(scene, jb.straight(scene.chain, [1.0, 0.0]), [0.0, 1.0, 2.0], substeps=1)
+    >>> figure = jaxbeads.plot.shapes(fall, scene.chain, number=2)
+    >>> print(figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel())
+    $x/L$ $y/L$
     """
     check_chain(solution, chain)
     if number is not None:

@@ -17,7 +17,13 @@ from .base import check_chain, figure_for
 def observable(
     ts: Any, values: Any, label: str, *, time_label: str = "time $t$", axes: Axes | None = None
 ) -> Figure:
-    """A quantity over time. **Returns** a figure."""
+    """A quantity over time. **Returns** a figure.
+
+    >>> import jaxbeads.plot
+    >>> figure = jaxbeads.plot.observable([0.0, 1.0, 2.0], [0.0, 1.0, 4.0], "distance $d/L$")
+    >>> print(figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel())
+    time $t$ distance $d/L$
+    """
     figure, ax = figure_for(axes, (5.0, 3.2))
     ax.plot(np.asarray(ts), np.asarray(values), color="#31688e", linewidth=1.6)
     ax.xaxis.set_major_locator(MaxNLocator(6))
@@ -32,6 +38,13 @@ def kymograph(solution: Solution, chain: Chain, *, axes: Axes | None = None) -> 
 
     Signed in the plane, where red bends anticlockwise from the first bead to the last.
     **Returns** a figure. **Raises** `ValueError` for fewer than three beads.
+
+    >>> import jaxbeads as jb, jaxbeads.plot
+    >>> scene = jb.Scene(jb.Chain(1.0, 3), viscosity=1.0, forces=[jb.force.Weight([0.0, -6.0])])
+    >>> fall = jb.rollout(scene, jb.straight(scene.chain, [1.0, 0.0]), [0.0, 1.0, 2.0], substeps=1)
+    >>> figure = jaxbeads.plot.kymograph(fall, scene.chain)
+    >>> print(figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel())
+    time $t$ arclength $s/L$
     """
     check_chain(solution, chain)
     beads = chain.fibres[0]

@@ -27,6 +27,12 @@ def html(
     **Arguments**: as for `movie`. A planar solution lies in the plane z = 0.
     **Returns** the path. **Raises** `ValueError` if it does not end in .html or cannot be written, and
     without `k3d`.
+
+    >>> import jaxbeads as jb, jaxbeads.plot
+    >>> scene = jb.Scene(jb.Chain(1.0, 3), viscosity=1.0, forces=[jb.force.Weight([0.0, -6.0])])
+    >>> fall = jb.rollout(scene, jb.straight(scene.chain, [1.0, 0.0]), [0.0, 1.0, 2.0], substeps=1)
+    >>> print(jaxbeads.plot.html(fall, scene.chain, "fall.html", frames=2))
+    fall.html
     """
     path = Path(path)
     if path.suffix.lower() != ".html":

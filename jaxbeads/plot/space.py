@@ -1,5 +1,6 @@
 """Beads in space as lit spheres: an orthographic camera, and a raster in which what is nearer covers
-what is farther away, point by point."""
+what is farther away, point by point.
+"""
 
 from dataclasses import dataclass
 
@@ -192,7 +193,8 @@ class Stage:
 
     def paint(self, centres: np.ndarray, radii: np.ndarray, colours: np.ndarray) -> np.ndarray:
         """Beads at centres `(n, 3)` with colours `(n, 3)`: a picture `(rows, columns, 3)` of bytes, from
-        its lowest row on."""
+        its lowest row on.
+        """
         seen = centres @ self.camera.T
         grey = self.paper.copy()
         if self.from_above:

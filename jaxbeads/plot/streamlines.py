@@ -42,6 +42,13 @@ def flow(
 
     **Returns** a figure, with equal axes in units of the first fibre's length L. **Raises** `ValueError`
     for a plane that is none.
+
+    >>> import jaxbeads as jb, jaxbeads.plot
+    >>> scene = jb.Scene(jb.Chain(1.0, 3), viscosity=1.0, forces=[jb.force.Weight([0.0, -6.0])])
+    >>> field = jb.flow_field(0.0, jb.straight(scene.chain, [1.0, 0.0]), scene)
+    >>> figure = jaxbeads.plot.flow(field, scene.chain, number=10)
+    >>> print(figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel())
+    $x/L$ $y/L$
     """
     whole("number", number, 8)
     if len(set(plane)) != 2 or not set(plane) <= {0, 1, 2}:

@@ -67,6 +67,16 @@ def planar_beating(
 
     **Arguments**: number of beads (at least 4); sperm number Sp, eq. (58), with gamma the normal
     friction of the rigid straight chain; alpha_0 [rad]; a [length]; mu.
+
+    **Raises** `ValueError` for too few beads and numbers that are out of range.
+
+    >>> from jaxbeads import dynamics, scenes
+    >>> for constraint in scenes.planar_beating(beads=4).scene.constraints:
+    ...     print(dynamics.named(constraint))
+    Gears
+    PrescribedPosition(bead=0)
+    PrescribedSpin(bead=0)
+    PrescribedDirection(bond=0)
     """
     whole("beads", beads, 4)
     positive("sperm_number", sperm_number)
@@ -88,7 +98,17 @@ def planar_beating(
 
 def lateral_harmonic(solution: Solution, fractions: np.ndarray) -> np.ndarray:
     """First harmonic of the lateral deflection over the last period, y = Im(c exp(i zeta t)): complex c
-    [length] at fractions of the distance between the first and the last bead's centres."""
+    [length] at fractions of the distance between the first and the last bead's centres.
+
+    >>> import jax, jax.numpy as jnp, numpy as np
+    >>> import jaxbeads as jb
+    >>> ts = jnp.linspace(0.0, 2 * jnp.pi, 41)
+    >>> tip = jnp.stack([jnp.full(41, 2.0), 0.1 * jnp.sin(ts)], axis=1)  # c = 0.1
+    >>> states = jax.vmap(jb.State)(jnp.stack([jnp.zeros((41, 2)), tip], axis=1))
+    >>> run = jb.Solution(ts, states, jnp.array(40), jnp.array(0))
+    >>> print(abs(jb.scenes.lateral_harmonic(run, np.array([0.5, 1.0]))).round(4))
+    [0.05 0.1 ]
+    """
     period = last_period(solution)
     ts = np.asarray(period.ts)
     y = np.asarray(period.states.position)[
@@ -153,6 +173,13 @@ def helical_beating(
 
     **Arguments**: number of beads (at least 4); sperm number, as for `planar_beating`; alpha_0 [rad];
     delta over a; a [length]; mu.
+
+    **Raises** `ValueError` for too few beads and numbers that are out of range.
+
+    >>> from jaxbeads import scenes
+    >>> case = scenes.helical_beating(beads=4)
+    >>> print(case.state.position.shape, len(case.scene.constraints))
+    (4, 3) 4
     """
     whole("beads", beads, 4)
     positive("sperm_number", sperm_number)

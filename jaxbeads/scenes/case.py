@@ -30,7 +30,13 @@ Value = float | Sequence[float] | bool | None
 
 
 class Case(NamedTuple):
-    """A scene with its start: everything that `simulate` needs."""
+    """A scene with its start: everything that `simulate` needs.
+
+    >>> from jaxbeads import scenes
+    >>> case = scenes.settling(beads=3)
+    >>> print(case.scene.chain.beads, case.state.position.shape, len(case.ts), case.tolerance)
+    3 (3, 2) 1201 1e-06
+    """
 
     scene: Scene
     state: State
@@ -88,6 +94,13 @@ class ReadyMade:
     - `stretch`: factor on the deflection in pictures.
     - `co_moving`: whether pictures follow the fibre's centre; by default if there is no flow.
     - `shown`: part of a run of which shapes are drawn, as `last_period`; all of it by default.
+
+    >>> from jaxbeads import scenes
+    >>> ready = scenes.SETTLING
+    >>> print(ready.name, list(ready.options), list(ready.results))
+    settling ['beads', 'elasto_gravitational', 'model'] ['deflection', 'friction_ratio', 'tilt']
+    >>> print(ready.build(beads=3).scene.chain.beads)
+    3
     """
 
     name: str
@@ -109,7 +122,15 @@ SAMPLES = 40
 
 
 def last_period(solution: Solution) -> Solution:
-    """The last period of a driven fibre, its start included."""
+    """The last period of a driven fibre, its start included.
+
+    >>> import jax, jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> states = jax.vmap(jb.State)(jnp.zeros((121, 3, 2)))  # forty in a period
+    >>> run = jb.Solution(jnp.linspace(0.0, 3.0, 121), states, jnp.array(120), jnp.array(0))
+    >>> print(jb.scenes.last_period(run).ts[jnp.array([0, -1])])
+    [2. 3.]
+    """
     last = slice(-SAMPLES - 1, None)
     times, states = jax.tree.map(lambda x: x[last], (solution.ts, solution.states))
     return Solution(times, states, solution.steps, solution.code)
@@ -117,7 +138,8 @@ def last_period(solution: Solution) -> Solution:
 
 def shape_changes(solution: Solution) -> float:
     """Largest distance of a bead from where it was one period earlier, once both shapes are laid over
-    one another (moved and turned), over the last period [length]."""
+    one another (moved and turned), over the last period [length].
+    """
     position = np.asarray(solution.states.position)
     shape = position - position.mean(axis=1, keepdims=True)
     now, before = shape[-SAMPLES:], shape[-2 * SAMPLES : -SAMPLES]
@@ -141,7 +163,8 @@ def distance_swum(case: "Case", solution: Solution) -> np.ndarray:
 
 def worm_amplitude(chain: Chain, peak: float) -> Array:
     """Amplitude of the preferred curvature at the joints [1/length]: `peak` / L over the first half
-    of the length, then falling linearly to zero at the tail."""
+    of the length, then falling linearly to zero at the tail.
+    """
     fibre = chain.fibre_of_bead[1:-1]
     s = chain.arclength[1:-1] / chain.length[fibre]
     return peak / chain.length[fibre] * jnp.minimum(1.0, 2 * (1 - s))
@@ -162,6 +185,12 @@ def lateral_modes(scene: Scene, t: float = 0.0, held: int = 0) -> tuple[np.ndarr
     and their shapes in columns.
 
     **Arguments**: `held`: number of beads at the first end that do not move.
+
+    >>> from jaxbeads import scenes
+    >>> scene = scenes.relaxation(beads=4).scene
+    >>> rates, shapes = scenes.lateral_modes(scene)
+    >>> print((rates.real < 1e-9).all(), shapes.shape)  # bends die away; shifts and turns stay
+    True (4, 4)
     """
     jacobian = _lateral_jacobian(scene, jnp.asarray(t), held)
     values, shapes = np.linalg.eig(np.asarray(jacobian))

@@ -89,6 +89,13 @@ def cilium(
     **Arguments**: number of beads (at least 4); sperm number Sp, eq. (58), with zeta = 2 pi f and gamma
     the normal friction of the rigid straight chain far from walls: small values follow the preferred
     shape, large ones hardly move; swing of the preferred beat [rad]; a [length]; mu.
+
+    **Raises** `ValueError` for too few beads and numbers that are out of range.
+
+    >>> from jaxbeads import scenes
+    >>> case = scenes.cilium(beads=4)
+    >>> print(case.scene.domain.direction, len(case.scene.constraints), len(case.scene.forces))
+    [0. 1.] 4 2
     """
     whole("beads", beads, 4)
     positive("sperm_number", sperm_number)
@@ -177,6 +184,13 @@ def cilia_row(
 
     **Arguments**: number of cilia; number of beads of each (at least 4); distance of neighbours over
     L; lag over the period; sperm number, swing, a and mu as for `cilium`.
+
+    **Raises** `ValueError` for too few beads and numbers that are out of range.
+
+    >>> from jaxbeads import scenes
+    >>> case = scenes.cilia_row(cilia=2, beads=4, spacing=1.5)
+    >>> print(case.scene.chain.fibres, case.state.position[4] - case.state.position[0])  # 1.5 L apart
+    (4, 4) [12.  0.]
     """
     whole("cilia", cilia, 1)
     whole("beads", beads, 4)

@@ -35,6 +35,14 @@ def follower_force(
 
     **Arguments**: number of beads (at least 5); force as P L^2/K_b, L = 2 a N; `hinged`: the first
     bead is held but free to turn; mobility; a [length]; mu; K_b; slope of the start's bend [rad].
+
+    **Raises** `ValueError` for too few beads and numbers that are out of range.
+
+    >>> from jaxbeads import scenes
+    >>> case = scenes.follower_force(beads=5, force=60.0)
+    >>> follower = next(f for f in case.scene.forces if type(f).__name__ == "Follower")
+    >>> print(follower.force)  # 60 K_b/L^2, L = 10
+    0.6
     """
     whole("beads", beads, 5)
     finite("force", force)
@@ -62,7 +70,13 @@ def follower_force(
 
 def growth_rates(scene: Scene) -> np.ndarray:
     """Growth rates of small deflections of the straight filament [1/time], fastest first; their
-    imaginary parts are angular frequencies."""
+    imaginary parts are angular frequencies.
+
+    >>> from jaxbeads import scenes
+    >>> weak, strong = (scenes.follower_force(beads=5, force=p).scene for p in (10.0, 100.0))
+    >>> print(scenes.growth_rates(weak)[0].real < 0 < scenes.growth_rates(strong)[0].real)
+    True
+    """
     held = 1 if len(scene.constraints) == 2 else 2
     return lateral_modes(scene, held=held)[0]
 

@@ -31,6 +31,13 @@ def jeffery(
     down along the flow and never turns over: it has no period.
 
     **Arguments**: number of beads (at least 2); bead model; a [length]; mu; shear rate.
+
+    **Raises** `ValueError` for too few beads and numbers that are out of range.
+
+    >>> from jaxbeads import scenes
+    >>> case = scenes.jeffery(beads=3, shear_rate=2.0)
+    >>> print(case.scene.flow.rate, [type(c).__name__ for c in case.scene.constraints])
+    2.0 ['Gears', 'FrozenJoints']
     """
     whole("beads", beads, 2)
     positive("shear_rate", shear_rate)

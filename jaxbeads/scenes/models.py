@@ -27,7 +27,15 @@ __all__ = [
 
 
 class AbstractModel(eqx.Module):
-    """How neighbouring beads of a fibre hold together."""
+    """How neighbouring beads of a fibre hold together.
+
+    >>> from jaxbeads import scenes
+    >>> for name, model in scenes.MODELS.items():
+    ...     print(name, isinstance(model, scenes.AbstractModel), model.chain(1.0, 3).bond_length)
+    gears True [2. 2.]
+    joint True [2.2 2.2]
+    spring True [2. 2.]
+    """
 
     mobility: ClassVar[RPY] = RPY()
 
@@ -44,7 +52,8 @@ class AbstractModel(eqx.Module):
         self, chain: Chain, rigidity: Any, intrinsic_curvature: Any = 0.0, drag: Any = 0.0
     ) -> tuple[AbstractForce, ...]:
         """Forces for a bending rigidity K_b. `drag` is the force on the whole fibre, a scale for
-        repulsions."""
+        repulsions.
+        """
 
     @abc.abstractmethod
     def state(self, chain: Chain, angles: Any) -> State:
@@ -56,7 +65,12 @@ def _directions(angles: Any) -> np.ndarray:
 
 
 class GearsModel(AbstractModel):
-    """Touching beads that roll on one another: the paper's model."""
+    """Touching beads that roll on one another: the paper's model.
+
+    >>> from jaxbeads import scenes
+    >>> print(scenes.GearsModel().constraints(), scenes.GearsModel().constraints(rigid=True))
+    (Gears(),) (Gears(), FrozenJoints())
+    """
 
     def chain(self, radius: float, beads: int) -> Chain:
         """Touching beads."""
@@ -82,6 +96,10 @@ class JointModel(AbstractModel):
 
     **Arguments**: `gap`: eps_g over the radius; `viscous`, `elastic`: C_1 and C_2 of eq. (44);
     `roughness`, `decay`: as in `JointRepulsion`. The defaults are those of the paper's settling fibre.
+
+    >>> from jaxbeads import scenes
+    >>> print(scenes.JointModel(gap=0.2).chain(1.0, 3).bond_length)  # 2 (a + eps_g)
+    [2.4 2.4]
     """
 
     gap: float | Float[Array, ""] = 0.1
@@ -115,6 +133,12 @@ class SpringModel(AbstractModel):
     """Touching beads held by springs; they do not turn and see no stresslets, eq. (1).
 
     **Argument**: `stretching`: k_s a^3 / K_b; 2 is that of an elastic cylinder of radius a.
+
+    >>> from jaxbeads import scenes
+    >>> model = scenes.SpringModel()
+    >>> spring, bending = model.elasticity(model.chain(radius=2.0, beads=3), rigidity=8.0)
+    >>> print(spring.stiffness)  # 2 K_b/a^3
+    2.0
     """
 
     mobility: ClassVar[RPY] = RPY(strained=False)

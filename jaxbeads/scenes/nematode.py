@@ -56,6 +56,13 @@ def nematode(beads: int = 15, *, radius: float = 1.0, viscosity: float = 1.0) ->
     f = 1 (Majmudar et al., J. R. Soc. Interface 9 (2012) 1809). It swims against its wave.
 
     **Arguments**: number of beads (at least 4); a [length]; mu.
+
+    **Raises** `ValueError` for too few beads.
+
+    >>> from jaxbeads import scenes
+    >>> case = scenes.nematode(beads=4)
+    >>> print(case.ts[1], type(case.scene.forces[0]).__name__)  # forty times in a period
+    0.025 Bending
     """
     whole("beads", beads, 4)
     chain = Chain(radius, beads)
@@ -113,6 +120,13 @@ def nematode_pair(
 
     **Arguments**: number of beads of each; distance of the two axes over L; whether their waves are
     half a period apart; a [length]; mu.
+
+    **Raises** `ValueError` for too few beads and numbers that are out of range.
+
+    >>> from jaxbeads import scenes
+    >>> case = scenes.nematode_pair(beads=4, distance=1.0)
+    >>> print(abs(case.state.position[4] - case.state.position[0]))  # one L apart
+    [0. 8.]
     """
     whole("beads", beads, 4)
     positive("distance", distance)
@@ -182,6 +196,11 @@ def nematode_wall(
     over L; its heading towards the wall [rad]; a [length]; mu.
 
     **Raises** `ValueError` for a start behind the wall.
+
+    >>> from jaxbeads import scenes
+    >>> case = scenes.nematode_wall(beads=4, height=0.5)
+    >>> print(case.scene.domain.height(case.state.position))  # L/2
+    [4. 4. 4. 4.]
     """
     whole("beads", beads, 4)
     positive("height", height)

@@ -30,7 +30,14 @@ def relaxation(
     time or 20 000 steps, whichever is shorter.
 
     **Arguments**: number of beads (at least 4); number of the mode, from 1 to beads - 2; a [length];
-    mu; K_b; largest lateral displacement over the length.
+    mu; K_b; largest lateral displacement in the mode over the length (the start is centred).
+
+    **Raises** `ValueError` for too few beads, a mode that there is not and an amplitude above 0.01.
+
+    >>> from jaxbeads import scenes
+    >>> case = scenes.relaxation(beads=4, mode=1, amplitude=1e-3)
+    >>> print(case.state.position[:, 1].round(4))  # a bow
+    [ 0.0061 -0.0061 -0.0061  0.0061]
     """
     whole("beads", beads, 4)
     whole("mode", mode, 1)

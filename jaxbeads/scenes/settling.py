@@ -15,8 +15,7 @@ from ..instant import applied_load
 from ..observables import deflection, friction_coefficient, orientation, rigid_resistance, tilt
 from ..scene import Scene
 from ..solution import Solution
-from ..solver import explicit_step
-from ..solver.stepping import substeps_for
+from ..solver import explicit_step, substeps_for
 from ..state import State
 from .case import Case, ReadyMade, Value
 from .models import GEARS, AbstractModel
@@ -45,6 +44,13 @@ def settling(
     **Arguments**: number of beads (at least 3); B = F L^2 / K_b, eq. (55), with F the whole weight;
     bead model (the paper compares 34 beads of Gears with 31 of Joint, equally long); a [length];
     mu; weight of a bead [force]; `perturbation` [rad].
+
+    **Raises** `ValueError` for too few beads and numbers that are out of range.
+
+    >>> from jaxbeads import scenes
+    >>> case = scenes.settling(beads=4, elasto_gravitational=1000.0)
+    >>> print([float(f.rigidity) for f in case.scene.forces if hasattr(f, "rigidity")])  # 4 * 8^2 / B
+    [0.256]
     """
     whole("beads", beads, 3)
     positive("elasto_gravitational", elasto_gravitational)
@@ -78,7 +84,14 @@ def settling(
 
 
 def settling_friction(scene: Scene) -> Array:
-    """gamma_0, friction coefficient of the rigid straight fibre across its axis."""
+    """gamma_0, friction coefficient of the rigid straight fibre across its axis [force time/length].
+
+    >>> from jaxbeads import scenes
+    >>> gamma = scenes.settling_friction(scenes.settling(beads=4).scene)
+    >>> free = scenes.settling_friction(scenes.settling(beads=4, viscosity=2.0).scene)
+    >>> print(f"{free / gamma:.4f}")  # it is proportional to the viscosity
+    2.0000
+    """
     flat = straight(scene.chain, [1.0, 0.0]).position
     return rigid_resistance(flat, scene.chain, scene.viscosity, scene.mobility)[1, 1]
 
@@ -161,6 +174,11 @@ def settling_wall(
     [length]; mu; weight of a bead [force].
 
     **Raises** `ValueError` for a start behind the wall.
+
+    >>> from jaxbeads import scenes
+    >>> case = scenes.settling_wall(beads=4, height=1.0)
+    >>> print(f"{case.state.position[:, 0].mean():.4f}")  # one L from the wall
+    8.0000
     """
     whole("beads", beads, 3)
     positive("elasto_gravitational", elasto_gravitational)

@@ -32,6 +32,14 @@ def shear(
     **Arguments**: number of beads (at least 3); bending ratio BR, eq. (54), with r_e after Cox;
     intrinsic curvature times length, kappa_eq L (0: straight at rest, an S shape); bead model; a
     [length]; mu; shear rate.
+
+    **Raises** `ValueError` for too few beads and numbers that are out of range.
+
+    >>> from jaxbeads import scenes
+    >>> from jaxbeads.dimensionless import bending_ratio
+    >>> case = scenes.shear(beads=4, bending_ratio=0.04)
+    >>> print(f"{bending_ratio(case.scene.forces[0].rigidity, 1.0, 4, 1.0, 1.0):.4f}")
+    0.0400
     """
     whole("beads", beads, 3)
     finite("intrinsic_curvature", intrinsic_curvature)

@@ -46,6 +46,13 @@ def spiral(
 
     **Arguments**: number of beads (at least 4); frequency as 2 pi f mu L^4/K_b; peak curvature
     times L; a [length]; mu. The time unit is a period.
+
+    **Raises** `ValueError` for too few beads and numbers that are out of range.
+
+    >>> from jaxbeads import scenes
+    >>> case = scenes.spiral(beads=4)
+    >>> print(case.state.position.shape, type(case.scene.forces[0].intrinsic_curvature).__name__)
+    (4, 3) TwoPlanes
     """
     whole("beads", beads, 4)
     positive("frequency", frequency)

@@ -22,6 +22,12 @@ class Arms(eqx.Module):
 
     **Arguments**: `separation` D [length]; `stroke` [length], one for both arms or one each;
     `phase` [rad] of each arm.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.scenes import three_sphere
+    >>> arms = three_sphere(separation=10.0, stroke=0.1).scene.constraints[0].law
+    >>> print(type(arms).__name__, arms(jnp.array(0.25)).round(6))
+    Arms [10. 11.]
     """
 
     separation: Float[Array, ""] = eqx.field(converter=float_array)
@@ -46,6 +52,13 @@ def three_sphere(
 
     **Arguments**: mean arm length D over a (arms must not let spheres touch); stroke over D; phase
     of the second arm behind the first [rad]; a [length]; mu.
+
+    **Raises** `ValueError` for spheres that would touch and numbers that are not positive.
+
+    >>> from jaxbeads import scenes
+    >>> case = scenes.three_sphere(separation=10.0, stroke=0.1)
+    >>> print(case.state.position[:, 0].round(6), case.ts[-1])
+    [-10.666667   0.333333  10.333333] 1.0
     """
     positive("separation", separation)
     positive("stroke", stroke)

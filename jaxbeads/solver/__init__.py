@@ -8,9 +8,9 @@ own, a line here and a line in `tests/cases.py`.
 
 from .ab3 import AB3 as AB3
 from .base import AbstractSolver as AbstractSolver
+from .explicit import explicit_step as explicit_step
+from .explicit import substeps_for as substeps_for
 from .rosenbrock import Rosenbrock as Rosenbrock
 from .stepping import AdaptiveSteps as AdaptiveSteps
 from .stepping import FixedSteps as FixedSteps
-from .stepping import explicit_step as explicit_step
-from .stepping import substeps_for as substeps_for
 from .wrapped import Diffrax as Diffrax

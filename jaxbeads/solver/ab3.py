@@ -29,7 +29,8 @@ class AdamsBashforth(diffrax.AbstractSolver):
 
     def init(self, terms: Any, t0: Any, t1: Any, y0: PyTree, args: PyTree) -> PyTree:
         """Two past derivatives, the number of steps done, and where the first two steps lead: they are
-        taken here, because a branch in each step would be dear to differentiate."""
+        taken here, because a branch in each step would be dear to differentiate.
+        """
         h = t1 - t0
 
         def start(y: PyTree, t: Any) -> tuple[PyTree, PyTree]:
@@ -76,6 +77,14 @@ class AB3(AbstractSolver):
     Stable for `Bending` up to about 2.2 times the step (39), which it takes unless told otherwise.
 
     **Arguments**, by name: `substeps` and `projected`, as for `AbstractSolver`; it estimates no error.
+
+    >>> import jaxbeads as jb
+    >>> chain = jb.Chain(radius=1.0, fibres=3)
+    >>> scene = jb.Scene(chain, 1.0, forces=[jb.force.Weight([0.0, -1.0])])
+    >>> state = jb.straight(chain, [1.0, 0.0])
+    >>> solution = jb.rollout(scene, state, [0.0, 1.0, 2.0], solver=jb.AB3(substeps=5))
+    >>> print(solution.steps, solution.code)
+    10 0
     """
 
     equal_steps: ClassVar[bool] = True

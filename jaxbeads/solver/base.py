@@ -25,6 +25,13 @@ class AbstractSolver(eqx.Module):
     - `projected`: restore bond lengths after every step; by default with adaptive steps, unless the
       scheme keeps them by itself.
     - `max_steps`: bound on adaptive steps between two save times.
+
+    **Raises** `ValueError` for options that exclude one another, a tolerance that is not positive, or
+    one of a scheme that does not estimate its error.
+
+    >>> import jaxbeads as jb
+    >>> print(jb.Rosenbrock(tolerance=1e-8).estimates_error, jb.AB3(substeps=50).estimates_error)
+    True False
     """
 
     equal_steps: ClassVar[bool] = False

@@ -151,6 +151,15 @@ class Rosenbrock(AbstractSolver):
     """Linearly implicit steps for stiff scenes, as `Rosenbrock(tolerance=1e-6)`: the scheme `Rodas`.
 
     **Arguments**, by name: as for `AbstractSolver`.
+
+    >>> import jaxbeads as jb
+    >>> chain = jb.Chain(radius=1.0, fibres=2)
+    >>> scene = jb.Scene(chain, 1.0, jb.mobility.FreeDraining(), forces=[jb.force.Spring(1e6)])
+    >>> stretched, ts = jb.State([[0.0, 0.0], [2.5, 0.0]]), [0.0, 100.0]
+    >>> solution = jb.rollout(scene, stretched, ts, solver=jb.Rosenbrock(tolerance=1e-6))
+    >>> apart = jb.observables.end_to_end_distance(solution.final.position)
+    >>> print(f"{apart:.4f}", solution.steps < 100)
+    2.0000 True
     """
 
     keeps_bonds: ClassVar[bool] = True
@@ -241,7 +250,8 @@ def _stages_jvp(primals: Any, tangents: Any) -> tuple[_Stages, _Stages]:
 
         (I - h GAMMA W) u_i* = GAMMA [h* (f_i + G_i) + h f_i* + sum C_ij u_j* + h G_i*].
 
-    So the Jacobian's columns are not differentiated, and the factor serves here too."""
+    So the Jacobian's columns are not differentiated, and the factor serves here too.
+    """
     t0, h, chart, scene = primals
     found = keep(_stages(*primals))
     us, x0, factor, instants = found.us, chart.origin, found.factor, found.instants

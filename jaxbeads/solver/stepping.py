@@ -18,9 +18,8 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Int
 
 from .._typing import with_all_digits
 from ..coordinates import project, tidied
@@ -41,15 +40,6 @@ def _vector_field(t: Time, state: State, scene: Scene) -> State:
 
 
 _TERM = diffrax.ODETerm(_vector_field)
-
-
-@eqx.filter_jit
-def explicit_step(scene: Scene) -> Float[Array, ""]:
-    """Time step for explicit solvers: the smallest that a force asks for. With `Bending` the paper's
-    mu (2a)^4 / K_b, eq. (39), for the smallest radius and the largest rigidity; infinite without
-    stiff forces."""
-    steps = [f.explicit_step(scene) for f in scene.forces]
-    return jnp.min(jnp.stack([jnp.asarray(jnp.inf), *steps]))
 
 
 class Carry(eqx.Module):
@@ -75,6 +65,11 @@ class FixedSteps(eqx.Module):
     """Equal steps from each save time to the next.
 
     **Argument**: `solver`, whose `substeps` are given.
+
+    >>> from jaxbeads.solver import AB3, FixedSteps
+    >>> steps = FixedSteps(AB3(substeps=5))
+    >>> print(steps.substeps, steps.projected)
+    5 False
     """
 
     solver: AbstractSolver
@@ -150,7 +145,8 @@ class FixedSteps(eqx.Module):
 
 def _first_step(scene: Scene, state: State, t0: Time, t1: Time) -> Array:
     """A step in which no bead moves by more than a thousandth of a fibre's length, or to the next save
-    time. The controller takes it from there."""
+    time. The controller takes it from there.
+    """
     t0, t1, state, scene = lax.stop_gradient((jnp.asarray(t0), t1, state, scene))
     speed = jnp.max(norm(rate(t0, state, scene).position))
     short = 1e-3 * jnp.max(scene.chain.length) / jnp.where(speed > 0, speed, 1.0)
@@ -172,6 +168,12 @@ class AdaptiveSteps(eqx.Module):
     """Steps chosen by a `diffrax` controller; save times are interpolated, not stepped on.
 
     **Arguments**: `solver`; `controller`, which its tolerance means in a scene, or its own.
+
+    >>> import diffrax
+    >>> from jaxbeads.solver import AdaptiveSteps, Rosenbrock
+    >>> controller = diffrax.PIDController(rtol=1e-6, atol=1e-6)
+    >>> print(AdaptiveSteps(Rosenbrock(), controller).controller.rtol)
+    1e-06
     """
 
     solver: AbstractSolver
@@ -327,7 +329,8 @@ def _step(
 def _plain(step: Any, gap: Any) -> Array:
     """A length of a step whose ratio to the gap between save times has twelve binary digits: programs of
     one run that differ in rounding, as those of its derivatives, or in other units, take the same
-    steps."""
+    steps.
+    """
     ratio = jnp.asarray(step / gap)
     exponent = jnp.finfo(ratio.dtype).nexp
     return gap * lax.reduce_precision(ratio, exponent_bits=exponent, mantissa_bits=12)
@@ -364,24 +367,3 @@ def _attempted(turn: _Turn, fixed: _Fixed) -> _Turn:
     code, a = stepper.attempt(scene, code, a, t1 - t0)
     many = (count + 1 >= stepper.max_steps) & (a.previous < t1)
     return count + 1, jnp.where(many, Outcome.TOO_MANY_STEPS, code), a
-
-
-def substeps_for(scene: Scene, ts: Any, step: float | None = None) -> int:
-    """Number of equal steps between save times, from a largest step (by default `explicit_step`).
-
-    **Raises** `ValueError` if there is neither a step nor a stiff force.
-    """
-    limit = float(explicit_step(scene)) if step is None else step
-    if not np.isfinite(limit):
-        raise ValueError(
-            "Argument `substeps` must be given, but it is None and the scene has no bending rigidity "
-            "from which a time step would follow."
-        )
-    gap, times = float(np.max(np.diff(ts))), 1.0 * np.asarray(ts)
-    # What rounding adds to a whole number of steps, of the times or of the step, is no step.
-    slack = 4 * float(np.spacing(np.max(np.abs(times)))) / gap + 10 * float(
-        jnp.finfo(times.dtype).eps
-    )
-    steps = max(1, int(np.ceil(gap / limit * (1 - max(1e-9, slack)))))
-    block = int(np.sqrt(steps))  # a number that `FixedSteps` can cut into blocks
-    return -(-steps // block) * block

@@ -70,7 +70,8 @@ class Watch(NamedTuple):
 
     def begin(self, t0: Array) -> tuple[Array, Array]:
         """Where a step from t0 begins, and whether that is on the other side of a switch at t0 itself: a
-        step may have ended there by chance, as at a save time, before the terms switched."""
+        step may have ended there by chance, as at a save time, before the terms switched.
+        """
         decided = None if self.timed is None else self._decided(self.timed, t0.dtype)
         if decided is None:
             return t0, jnp.zeros((), bool)
@@ -80,7 +81,8 @@ class Watch(NamedTuple):
 
     def end(self, t0: Array, t1: Array, gap: Array) -> tuple[Array, Array]:
         """The last instant before the terms switch, and one just after it; where they do not, t1 twice,
-        or an earlier instant if a step to t1 could not be sampled well enough."""
+        or an earlier instant if a step to t1 could not be sampled well enough.
+        """
         if self.idle:
             return t1, t1
         t1 = jnp.minimum(t1, t0 + _SAMPLES / 2 * gap)
@@ -165,7 +167,8 @@ class Watch(NamedTuple):
 
 def watch(scene: Scene, t: Array, state: State) -> Watch:
     """What is to be watched in a step from a state. Nothing of it is differentiated: it decides on the
-    lengths of steps only."""
+    lengths of steps only.
+    """
     t, state, scene = lax.stop_gradient((jnp.asarray(t), state, scene))
     timed: list[Acting] = []
     placed: list[Acting] = []
@@ -185,7 +188,8 @@ def _joined(several: list[Acting]) -> Acting | None:
 
 def _terms(scene: Scene) -> list[tuple[Acting, bool]]:
     """What each term of a scene does to the beads, as they would move if each were alone, and whether it
-    is known to be smooth in space."""
+    is known to be smooth in space.
+    """
     chain, viscosity = scene.chain, scene.viscosity
     radii = chain.radii[:, None]
 

@@ -27,6 +27,15 @@ class Diffrax(AbstractSolver):
     `AbstractAdaptiveSolver`, one that solves equations in a step an `AbstractImplicitSolver`.
 
     **Arguments**: `wrapped`, the solver; options as for `AbstractSolver`.
+
+    **Raises** `ValueError` for an implicit solver without a `controller`, from which its root finder
+    takes its tolerances, and as `AbstractSolver`.
+
+    >>> import diffrax
+    >>> from jaxbeads.solver import Diffrax
+    >>> solver = Diffrax(diffrax.Tsit5(), tolerance=1e-8)
+    >>> print(solver.name, solver.estimates_error, solver.tolerance)
+    Tsit5 True 1e-08
     """
 
     wrapped: diffrax.AbstractSolver = eqx.field(converter=_both_modes)
