@@ -256,4 +256,11 @@ def _keep_programs() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    _code = main()
+    if _code == 130:
+        # Ctrl-C may have left XLA at work on a program: taking the interpreter apart around it ends in
+        # a segmentation fault.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(_code)
+    sys.exit(_code)

@@ -155,6 +155,17 @@ def test_direct_assembly_equals_assembly_by_columns(dim, fibres):
     assert abs(values[-1] / values[0] - 5.6) < 0.1
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_instants_side_by_side_with_a_radius_for_each_bead(dim):
+    # Under `vmap` of what is jitted no rule may hold on to the numbers of a chain.
+    chain = Chain(np.linspace(0.7, 1.2, 5), 5)
+    model, states = scene(chain, dim), [bent(chain, dim, seed) for seed in (0, 1)]
+    both = jax.tree.map(lambda *x: jnp.stack(x), *states)
+    found = jax.vmap(lambda state: dynamics.motion(0.0, state, model).velocity)(both)
+    alone = [dynamics.motion(0.0, state, model).velocity for state in states]
+    assert np.allclose(found, jnp.stack(alone), rtol=0, atol=1e-13)
+
+
 @pytest.mark.parametrize("law", [None, SineRuleCurvature()], ids=["(34)", "(33)"])
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("radius", RADII, ids=["equal", "unequal"])

@@ -150,6 +150,7 @@ def regular(block: Array, mask: np.ndarray, scale: Array | None) -> Array:
 
 def kept(function: Difference, one: Array) -> Difference:
     """As `function`, whose result is kept for all that reads it; `one` is a 1 that XLA does not know.
+    The function closes over no array, which its rule under `vmap` would find gone.
 
     XLA: on the CPU it computes what looks cheap anew wherever it is read, but never a quotient; that by
     a number of each member, side by side with others, it makes a product first. There the field that

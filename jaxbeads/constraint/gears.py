@@ -75,16 +75,16 @@ class Gears(AbstractChainConstraint):
         if chain.radius.ndim == 0:  # the radius of the surface velocities goes into the lever
             reach = chain.radius + chain.gap
             lever = [{k: reach * u for k, u in row.items()} for row in lever]
-            dd, da, ad, aa = ends(-1, -1), ends(-1, 1), ends(1, -1), ends(1, 1)
+            dd, da, ad, spins = ends(-1, -1), ends(-1, 1), ends(1, -1), tensor.rr
         else:
             a = chain.reach
             dd = ends(-1, -1)
             da = _weighted(ends(-1, 1), None, a)
             ad = _weighted(ends(1, -1), a, None)
-            aa = _weighted(ends(1, 1), a, a)
+            spins = [[a[:, None] * f * a[None, :] for f in row] for row in tensor.rr]
         scale = tensor.tt[0][0][0, 0]  # the mobility of a bead
-        keep = kept(aa, 1 + 0 * scale)
-        sums = [[keep(f) for f in row] for row in tensor.rr]
+        keep = kept(ends(1, 1), 1 + 0 * scale)
+        sums = [[keep(f) for f in row] for row in spins]
         mask = chain.bond_mask
         s = empty(dim * bonds, e.dtype)
         for i in range(dim):
