@@ -64,9 +64,9 @@ from jaxbeads.force import (
     Weight,
 )
 from jaxbeads.mobility import RPY
+from jaxbeads.solver import substeps_for
 
 NAN = float("nan")
-from jaxbeads.solver import substeps_for
 
 CHAIN = Chain(1.0, 5)
 START = straight(CHAIN, [1.0, 0.0])

@@ -5,7 +5,8 @@ Passive fibres: `jeffery`, `shear`, `settling`, `relaxation`; driven ones: `plan
 `three_sphere`; at a no-slip wall: `cilium`, `cilia_row`, `settling_wall`, `nematode_wall`. Each
 returns a `Case` (scene, state, times and how to step); `case.simulate()` runs it. A new one is a
 file here, its import and its `ReadyMade` in `SCENES` below, where the shell (`python -m jaxbeads`) and
-the tests of all scenes find it. `GEARS`, `JOINT` and `SPRING` are bead models that may be exchanged for one another.
+the tests of all scenes find it. `GEARS`, `JOINT` and `SPRING` are bead models that may be exchanged for
+one another.
 """
 
 from .beating import *
