@@ -25,7 +25,7 @@ from .instant import (
 )
 from .saddle import Time, constraint_map, matrix, saddle_point, slips
 from .scene import Scene, in_single
-from .state import Load, Motion, State, zero_motion
+from .state import Load, Motion, State, check_single, zero_motion
 
 __all__ = [
     "ambient_motion",
@@ -60,6 +60,7 @@ def evaluate(t: Time, state: State, scene: Scene) -> Evaluation:
     >>> print(now.motion.velocity[:, 1].round(5), now.multipliers.shape)
     [-0.08672 -0.09927 -0.08672] (4,)
     """
+    check_single(state)
     return evaluation(jnp.asarray(t), state, scene, None)
 
 

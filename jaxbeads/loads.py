@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._checks import fail, index
+from ._checks import described, fail, index
 from ._typing import float_array
 from .chain import Chain
 from .constraint import AbstractConstraint, Joint
@@ -22,7 +22,7 @@ from .geometry import bonds, cross, tangents
 from .instant import Time, applied_load
 from .saddle import Evaluation, constraint_map
 from .scene import Scene
-from .state import Load, Motion, State, add_loads, spins, zero_motion
+from .state import Load, Motion, State, add_loads, check_single, spins, zero_motion
 
 
 def load_on_fluid(t: Time, state: State, scene: Scene) -> Load:
@@ -129,7 +129,7 @@ def holding_load(
     `hinged` do. The thrust of a beating filament on its holder is minus that force.
 
     **Argument** `bead`: its index, -1 for the last. **Returns** `(dim,)`, and `(1,)` in the plane or
-    `(3,)` in space. **Raises** `ValueError` if nothing holds it.
+    `(3,)` in space. **Raises** `ValueError` for several beads and if nothing holds it.
 
     >>> import jaxbeads as jb
     >>> hung = [jb.constraint.Inextensible(), *jb.constraint.hinged()]
@@ -141,6 +141,8 @@ def holding_load(
     3.000000
     """
     beads, held = scene.chain.beads, []
+    if np.ndim(bead) != 0:
+        fail("bead", "be one index (of several, call it for each)", f"it is {described(bead)}")
     index("bead", bead, beads)
     bead = bead % beads
     every = constraint_loads(t, state, scene).values()
@@ -286,6 +288,7 @@ def elastic_energy(t: Time, state: State, scene: Scene) -> Float[Array, ""]:
     >>> print(jb.observables.elastic_energy(0.0, jb.State([[0.0, 0.0], [2.5, 0.0]]), scene))
     0.5
     """
+    check_single(state)
     energy = jnp.zeros((), state.position.dtype)
     for force in scene.forces:
         if not (force.internal or force.links):

@@ -1,7 +1,8 @@
 """What is measured on states, trajectories and scenes.
 
-Functions of positions take any leading axes (times); pass `solution.states.position`. Those of loads
-(who exerts which, tension, moments, energy) are written in `loads`.
+Functions of positions take any leading axes (times); pass `solution.states.position`. Those of a state
+are of one state; over time by `jax.vmap(lambda t, s: tension(t, s, scene))(sol.ts, sol.states)`. Those
+of loads (who exerts which, tension, moments, energy) are written in `loads`.
 """
 
 from typing import Any

@@ -5,7 +5,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, PyTree
 
-from ._checks import known
+from ._checks import known, said
 
 
 class History(eqx.Module):
@@ -30,6 +30,11 @@ _ENDINGS = {
     ZERO: "the gradient is zero at the start",
 }
 """Why it ended. A sum or a difference of two of the numbers is none of them."""
+
+
+def _few(value: Array) -> str:
+    """Numbers where they are few, or their shape."""
+    return said(value) if np.size(value) <= 4 else str(np.shape(value))
 
 
 class Optimum(eqx.Module):
@@ -71,8 +76,8 @@ class Optimum(eqx.Module):
         if worst > 0:
             lines.append(f"constraint violated by {worst:.2e} at most")
         leaves = jax.tree_util.tree_leaves_with_path(self.values)
-        keys = [(jax.tree_util.keystr(path) or "values", np.shape(leaf)) for path, leaf in leaves]
-        lines.append("values: " + ", ".join(f"{key} {shape}" for key, shape in keys[:8]))
+        shown = (f"{jax.tree_util.keystr(path)} {_few(leaf)}".strip() for path, leaf in leaves[:8])
+        lines.append("values: " + ", ".join(shown))
         lines.append("what happened in each step is in `history`")
         return "\n  ".join(lines)
 

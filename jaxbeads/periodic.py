@@ -9,7 +9,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from ._checks import fail, known, positive, whole
+from ._checks import fail, known, positive, said, whole
 from ._typing import with_all_digits
 from .geometry import best_rotation
 from .instant import Time
@@ -17,9 +17,20 @@ from .rollout import Solver, rollout, solver_for
 from .scene import Scene, check
 from .solver import AbstractSolver
 from .state import State
-from .steady import Pair, Problem, Shape, generators, or_nothing, refuse, refuse_freedom, root
+from .steady import (
+    Pair,
+    Problem,
+    Shape,
+    generators,
+    or_nothing,
+    refuse,
+    refuse_freedom,
+    root,
+    said_shape,
+)
 
 _STEPS = 200  # in a period, unless told otherwise
+_NEUTRAL = 1e-6  # a multiplier of 1 is found by differences, to so much
 
 
 class PeriodicState(eqx.Module):
@@ -66,6 +77,21 @@ class PeriodicState(eqx.Module):
             return float(np.arctan2(r[1, 0], r[0, 0]))
         axis = np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]])
         return float(np.arctan2(np.linalg.norm(axis), np.trace(r) - 1))
+
+    def __str__(self) -> str:
+        """What was found, in a few lines; under a transformation or of many, its structure."""
+        if not known(self) or np.ndim(self.converged):
+            return eqx.tree_pformat(self)
+        if not self.converged:
+            return "PeriodicState: not converged"
+        largest = float(np.max(np.abs(self.multipliers), initial=0.0))
+        how = "unstable" if largest > 1 + _NEUTRAL else "stable"
+        lines = [
+            f"PeriodicState: converged, {said_shape(self.state)}, {how}",
+            f"in a period: displacement {said(self.displacement)}, turn {self.turn:.6g} rad",
+            f"largest multiplier {largest:.6g} in size (all: `multipliers`)",
+        ]
+        return "\n  ".join(lines)
 
 
 def periodic_state(

@@ -20,7 +20,7 @@ from .frames import framed
 from .geometry import smallest_gap
 from .mobility import RPY, AbstractMobility, Operator
 from .setting import Setting
-from .state import Load, State
+from .state import Load, State, check_single
 
 _UNIT = 0.01
 """How far the length of a director may be off one."""
@@ -148,6 +148,7 @@ class Scene(Setting):
 
     def load_of(self, index: int, t: Any, state: State) -> Load:
         """The load of one of the forces."""
+        check_single(state)
         return self.forces[index].load(jnp.asarray(t), self._owning(index, state), self)
 
     def own_rate(self, t: Any, state: State) -> tuple[Array | None, ...] | None:

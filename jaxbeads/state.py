@@ -64,6 +64,13 @@ class State(eqx.Module):
             finite("normal", self.normal)
 
 
+def check_single(state: State) -> None:
+    """Refuse a state with an axis of times where one instant is meant."""
+    if (shape := jnp.shape(state.position))[2:]:
+        must = "be one state (of many: `jax.vmap` over `solution.ts, solution.states`)"
+        fail("state", must, f"its positions have shape {shape}")
+
+
 class Motion(eqx.Module):
     """Velocities [length/time], shape `(beads, dim)`, and spins [1/time], shape `(beads, spins)`.
 

@@ -16,7 +16,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from . import carried
-from ._checks import fail, known, positive, whole
+from ._checks import fail, known, positive, said, whole
 from ._typing import with_all_digits
 from .coordinates import AbstractCoordinates, coordinates
 from .faults import REMEDY, not_finite, not_smooth
@@ -24,6 +24,9 @@ from .instant import Time
 from .linearise import coordinate_rate, linearise
 from .scene import Scene, check
 from .state import State
+
+NEUTRAL = 1e-8
+"""A growth that is so much smaller than the largest derivatives is rounding."""
 
 
 class SteadyState(eqx.Module):
@@ -55,6 +58,22 @@ class SteadyState(eqx.Module):
         """
         values = np.linalg.eigvals(np.asarray(self.jacobian)).astype(complex)
         return values[np.argsort(-np.real(values))]
+
+    def __str__(self) -> str:
+        """What was found, in a few lines; under a transformation or of many, its structure."""
+        if not known(self) or np.ndim(self.converged):
+            return eqx.tree_pformat(self)
+        if not self.converged:
+            return "SteadyState: not converged"
+        largest = float(np.max(self.growth_rates.real, initial=-np.inf))
+        least = NEUTRAL * np.max(np.abs(self.jacobian), initial=0.0)
+        how = "unstable" if largest > least else "stable"
+        lines = [
+            f"SteadyState: converged, {said_shape(self.state)}, {how}",
+            f"velocity {said(self.velocity)}",
+            f"largest growth rate {largest:.3e} (all: `growth_rates`)",
+        ]
+        return "\n  ".join(lines)
 
 
 class Shape(eqx.Module):
@@ -102,6 +121,12 @@ class Shape(eqx.Module):
 
         dim = start.position.shape[1]
         return jax.vmap(turned, out_axes=1)(jnp.asarray(generators(dim), start.position.dtype))
+
+
+def said_shape(state: State) -> str:
+    """How many beads a state has, in words."""
+    beads, dim = state.position.shape
+    return f"{beads} beads in {dim}-D"
 
 
 def shape_about(scene: Scene, state: State, moving: bool) -> Shape:

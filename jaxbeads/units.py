@@ -1,5 +1,8 @@
-"""Values, a loss and constraints in units that a start shows, and values within bounds as functions of
-free ones: what an optimiser sees does not depend on the units of the problem.
+"""What `optimise` measures its problem by (physical units are yours: see the recipe "How do I use
+micrometres, piconewtons and seconds?").
+
+Values, a loss and constraints in units that a start shows, and values within bounds as functions of free
+ones: what an optimiser sees does not depend on the units of the problem.
 """
 
 from typing import Any

@@ -22,8 +22,8 @@
 # recipe says otherwise, bead radius, viscosity and weight of a bead are 1, and fibres are planar: two
 # coordinates, in a three-dimensional fluid.
 #
-# Runs: weight, results, tables, pictures, ParaView, units, tolerances, solvers, files, breakdowns. Terms:
-# held ends, forces, rigidities, heads, waves, flows, walls, contact, your own. Many runs: gradients,
+# Runs: weight, results, tables, pictures, flow, ParaView, units, tolerances, solvers, files, breakdowns.
+# Terms: held ends, forces, rigidities, heads, waves, flows, walls, contact, your own. Many runs: gradients,
 # batches, sweeps, optimisation, steady and periodic states.
 
 # %%
@@ -133,6 +133,19 @@ jaxbeads.plot.kymograph(solution, chain, axes=axes[1])
 plt.show()
 movie = jaxbeads.plot.movie(solution, chain, folder / "fall.gif", frames=12, view=view)
 assert movie.stat().st_size > 1000
+
+# %% [markdown]
+# ### How do I draw the flow?
+#
+# `flow_field` is the velocity of the fluid at one instant, a function of points; `plot.flow` draws its
+# streamlines and speed. `co_moving=True` shows it as seen from the fibre.
+
+# %%
+field = jb.flow_field(solution.ts[-1], solution.final, scene)
+jaxbeads.plot.flow(field, chain, margin=0.3, number=40)
+plt.show()
+far = field(jnp.array([[200.0, 0.0], [400.0, 0.0]]))
+assert far[0, 1] < far[1, 1] < 0  # the fluid falls along, less and less
 
 # %% [markdown]
 # ### How do I look at it in ParaView?
@@ -287,6 +300,47 @@ def cantilever(rigidity, load):
 motion = jb.dynamics.motion(0.0, start, cantilever(20.0, 1.0))
 assert np.abs(motion.velocity[:2]).max() < 1e-14 and abs(motion.spin[0, 0]) < 1e-14
 assert motion.velocity[-1, 1] < 0
+
+# %% [markdown]
+# ### How do I clamp several fibres?
+#
+# By an index for each: `chain.first_beads` and `chain.last_beads` have them.
+
+# %%
+row_of_two = jb.Chain(1.0, fibres=(5, 5))
+sheared = jb.Scene(
+    row_of_two,
+    1.0,
+    constraints=[Gears(), *clamped(row_of_two.first_beads)],
+    forces=[Bending(20.0)],
+    flow=Shear(0.1),
+)
+upright = jb.straight(row_of_two, [0.0, 1.0], centre=[[0.0, 4.0], [6.0, 4.0]])
+motion = jb.dynamics.motion(0.0, upright, sheared)
+assert np.abs(motion.velocity[np.array([0, 1, 5, 6])]).max() < 1e-14
+assert motion.velocity[4, 0] > 0 and motion.velocity[9, 0] > 0
+
+# %% [markdown]
+# ### How do I get the force on a clamp, and the tension along a fibre?
+#
+# `holding_load` is what the holder of a bead exerts on the fibre, force and torque; the fibre pulls at
+# its holder with minus that. `tension` has a number for each bond. Both are of one state: over time they
+# are mapped by `jax.vmap`. A fibre that hangs at rest is carried by its clamp, each bond by what is below.
+
+# %%
+hanging = jb.Scene(
+    chain,
+    1.0,
+    constraints=[Gears(), *clamped(0)],
+    forces=[Weight([0.0, -1.0]), Bending(20.0)],
+)
+down = jb.straight(chain, [0.0, -1.0])
+force, torque = observables.holding_load(0.0, down, hanging, bead=0)
+sol = jb.rollout(hanging, down, [0.0, 1.0, 2.0], substeps=10)
+tensions = jax.vmap(lambda t, s: observables.tension(t, s, hanging))(sol.ts, sol.states)
+print("force", force, "torque", torque, "tensions at the end", tensions[-1])
+assert np.abs(force - np.array([0.0, 8.0])).max() < 1e-9 and tensions.shape == (3, 7)
+assert np.abs(tensions - np.arange(7, 0, -1)[None]).max() < 1e-9
 
 # %% [markdown]
 # ### How do I pull at one bead?
@@ -591,6 +645,42 @@ best = jb.optimise(drift, 0.3, progress=False)
 across, along = (-float(velocity(jnp.asarray(x))[1]) for x in (0.0, np.pi / 2))
 print(f"{best.status}: slope {np.degrees(best.values):.3f} degrees")
 assert abs(best.values - np.arctan(np.sqrt(across / along))) < 1e-6
+
+# %% [markdown]
+# ### How do I optimise a wave?
+#
+# The loss builds the scene from the wave's numbers and runs it. Number the steps beforehand, for the
+# stiffest fibre that will be met, or leave them to the tolerance. A run that breaks down does not raise
+# in it: look at `code` of the best one. Bounds keep the wave reasonable. Here a fibre of five beads swims
+# for one period.
+
+# %%
+worm = jb.Chain(1.0, fibres=5)
+lying, beat = jb.straight(worm, [1.0, 0.0]), np.linspace(0.0, 100.0, 3)
+
+
+def waving(wave):
+    drive = TravellingWave(wave["amplitude"], wave["wavenumber"], frequency=0.01)
+    return jb.Scene(worm, 1.0, constraints=[Gears()], forces=[Bending(20.0, drive)])
+
+
+guess = {"amplitude": 0.1, "wavenumber": 0.4}
+substeps = jb.solver.substeps_for(waving(guess), beat)
+
+
+def swim(wave):
+    return jb.rollout(waving(wave), lying, beat, substeps=substeps)
+
+
+def backwards(wave):  # to be minimised: it swims against the wave
+    return jb.objectives.displacement(swim(wave))[0]
+
+
+bounds = {"amplitude": 0.0, "wavenumber": 0.0}, {"amplitude": 0.2, "wavenumber": 1.0}
+best = jb.optimise(backwards, guess, bounds=bounds, steps=4, progress=False)
+run = swim(best.values)
+print(best)
+assert run.code == 0 and best.loss < 1.5 * backwards(guess) < 0
 
 # %% [markdown]
 # ### How do I find a steady shape, and its derivatives?

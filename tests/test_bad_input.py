@@ -23,6 +23,7 @@ from jaxbeads import (
     from_directors,
     from_tangents,
     load,
+    observables,
     periodic_state,
     resume,
     rollout,
@@ -48,6 +49,7 @@ from jaxbeads.constraint import (
     PrescribedSpin,
     clamped,
 )
+from jaxbeads.dynamics import applied_load
 from jaxbeads.flow import Extension, LinearFlow, OscillatingShear, Poiseuille, Shear
 from jaxbeads.force import (
     Bending,
@@ -62,8 +64,10 @@ from jaxbeads.force import (
     Weight,
 )
 from jaxbeads.mobility import RPY
+from jaxbeads.solver import substeps_for
 
 NAN = float("nan")
+
 CHAIN = Chain(1.0, 5)
 START = straight(CHAIN, [1.0, 0.0])
 SPATIAL = straight(CHAIN, [1.0, 0.0, 0.0])
@@ -82,6 +86,10 @@ def run(state=START, ts=TIMES, scene=None, **options):
 
 def run_force(*forces, state=START, **options):
     return run(state, scene=model(forces=forces), **options)
+
+
+def bent_by(rigidity):
+    return model(forces=[Bending(rigidity)])
 
 
 def paper_step(scene):
@@ -537,6 +545,14 @@ STEPS = {
         lambda: run_force(Weight([0, 1]), solver=AB3()),
         "`substeps` must be given, but it is None and the scene has no bending rigidity",
     ),
+    "substeps for a traced rigidity": (
+        lambda: jax.eval_shape(lambda k: substeps_for(bent_by(k), TIMES), 1.0),
+        "`scene` must hold known numbers, but it is traced: call `substeps_for` outside, with the",
+    ),
+    "substeps for traced times": (
+        lambda: jax.eval_shape(lambda ts: substeps_for(model(), ts), TIMES),
+        "`ts` must hold known numbers, but it is traced: call `substeps_for` outside",
+    ),
     "substeps from a traced scene": (
         lambda: jax.eval_shape(lambda mu: paper_step(model(viscosity=mu)), 1.0),
         "`substeps` must be given when the scene or the times are traced, but it is None",
@@ -602,7 +618,34 @@ OPTIONS = {
         "`amplitude` must be small (at most 0.01)",
     ),
 }
-CASES = OPTIONS | CHAINS | STATES | TERMS | DRIVES | STEPS | SCENES
+
+MANY = jax.tree.map(lambda x: jnp.stack([x, x, x]), START)
+INSTANTS = {
+    name: (
+        lambda of=of: of(0.0, MANY, model()),
+        "`state` must be one state (of many: `jax.vmap` over `solution.ts, solution.states`), but its "
+        "positions have shape (3, 5, 2)",
+    )
+    for name, of in {
+        "tension": observables.tension,
+        "holding_load": observables.holding_load,
+        "power": observables.power,
+        "settling_velocity": observables.settling_velocity,
+        "load_on_fluid": observables.load_on_fluid,
+        "elastic_energy": observables.elastic_energy,
+        "applied_load": applied_load,
+    }.items()
+} | {
+    "load of several holders": (
+        lambda: observables.holding_load(0.0, START, model(), (0, 3)),
+        "`bead` must be one index (of several, call it for each), but it is a tuple",
+    ),
+    "load of an array of holders": (
+        lambda: observables.holding_load(0.0, START, model(), jnp.array([0, 3])),
+        "`bead` must be one index (of several, call it for each), but it is an ArrayImpl",
+    ),
+}
+CASES = INSTANTS | OPTIONS | CHAINS | STATES | TERMS | DRIVES | STEPS | SCENES
 
 
 @pytest.mark.parametrize("call, says", CASES.values(), ids=CASES)

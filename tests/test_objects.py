@@ -317,12 +317,49 @@ def test_an_optimum_prints_itself():
     first, *lines = str(found).splitlines()
     assert first.startswith("Optimum: loss ") and found.status in first
     assert any("loss at first 3, gradient norm 3.46e+00 to" in line for line in lines)
-    assert "  values: ['stiffness'] (3,)" in lines
+    assert "  values: ['stiffness'] [2. 2. 2.]" in lines
     several = optimise(loss, {"stiffness": jnp.ones((2, 3))}, many=True, progress=False, steps=2)
     assert "(best of 2 starts)" in str(several)
     traced = []
     jax.jit(lambda x: traced.append(str(x)) or x.loss)(found)
     assert traced[0].startswith("Optimum(")
+
+
+def test_a_steady_state_prints_itself():
+    drifting = Scene(CHAIN, 1.0, constraints=[Gears()], forces=[Bending(4.0), Weight([0.0, -1.0])])
+    found = steady_state(drifting, START)
+    first, *lines = str(found).splitlines()
+    assert first == "SteadyState: converged, 4 beads in 2-D, stable"
+    with np.printoptions(precision=4, suppress=True):
+        assert lines[0] == f"  velocity {np.asarray(found.velocity)}"
+    assert f"growth rate {found.growth_rates.real.max():.3e}" in lines[1]
+    grown = eqx.tree_at(lambda s: s.jacobian, found, -found.jacobian)
+    assert str(grown).splitlines()[0].endswith(", unstable")
+    lost = eqx.tree_at(lambda s: s.converged, found, jnp.asarray(False))
+    assert str(lost) == "SteadyState: not converged"
+    several = jax.tree.map(lambda x: jnp.stack([x, x]), found)
+    traced = []
+    jax.jit(lambda x: traced.append(str(x)) or x.velocity)(found)
+    assert traced[0].startswith("SteadyState(") and str(several).startswith("SteadyState(")
+
+
+def test_a_periodic_state_prints_itself():
+    swaying = Scene(
+        CHAIN, 1.0, constraints=[Gears()], forces=[Bending(4.0)], flow=OscillatingShear(0.1, 1.0)
+    )
+    found = periodic_state(swaying, START, 1.0, substeps=20, accuracy=1e-4)
+    first, *lines = str(found).splitlines()
+    assert first == "PeriodicState: converged, 4 beads in 2-D, stable"
+    assert lines[0].startswith("  in a period: displacement [") and "rad" in lines[0]
+    assert f"multiplier {np.abs(found.multipliers).max():.6g} in size" in lines[1]
+    grown = eqx.tree_at(lambda s: s.jacobian, found, -found.jacobian)
+    assert str(grown).splitlines()[0].endswith(", unstable")
+    lost = eqx.tree_at(lambda s: s.converged, found, jnp.asarray(False))
+    assert str(lost) == "PeriodicState: not converged"
+    several = jax.tree.map(lambda x: jnp.stack([x, x]), found)
+    traced = []
+    jax.jit(lambda x: traced.append(str(x)) or x.displacement)(found)
+    assert traced[0].startswith("PeriodicState(") and str(several).startswith("PeriodicState(")
 
 
 def test_the_bar_tells_the_time_and_the_steps(capsys):

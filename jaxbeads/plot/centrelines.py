@@ -38,8 +38,10 @@ def shapes(
     """Shapes at `number` saved times (12, in space 6), coloured by time: centre lines in the plane, lit
     beads to scale in space, where of several fibres each has its colour and is pale at first.
 
-    The times are such that the shape changes equally much from one to the next. **Returns** a figure
-    with equal axes in units of the first fibre's length L.
+    The times are such that the shape changes equally much from one to the next; of saved times that are
+    far apart fewer may be left. In space a shape that a later one would hide, nearer to it than a bead's
+    radius in the mean, is left out. For more of them: a larger `number`, more saved times, or a `view`
+    that is not co-moving. **Returns** a figure with equal axes in units of the first fibre's length L.
 
     **Raises** `ValueError` for a number below 1 and a chain that does not fit.
 

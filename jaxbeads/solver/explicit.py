@@ -3,10 +3,13 @@
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._checks import fail
+from .._compat import Tracer
 from ..scene import Scene
 
 
@@ -29,7 +32,8 @@ def explicit_step(scene: Scene) -> Float[Array, ""]:
 def substeps_for(scene: Scene, ts: Any, step: float | None = None) -> int:
     """Number of equal steps between save times, from a largest step (by default `explicit_step`).
 
-    **Raises** `ValueError` if there is neither a step nor a stiff force.
+    A host function. **Raises** `ValueError` if there is neither a step nor a stiff force, and for times
+    and numbers of the scene that are traced: call it outside of what is compiled or differentiated.
 
     >>> import jaxbeads as jb
     >>> chain = jb.Chain(radius=1.0, fibres=3)
@@ -37,7 +41,19 @@ def substeps_for(scene: Scene, ts: Any, step: float | None = None) -> int:
     >>> jb.solver.substeps_for(scene, [0.0, 10.0, 20.0]) >= 10  # a safe step is 1
     True
     """
-    limit = float(explicit_step(scene)) if step is None else step
+    for name, value, how in (
+        ("ts", ts, "`substeps_for` outside"),
+        (
+            "scene",
+            scene if step is None else None,
+            "`substeps_for` outside, with the stiffest value",
+        ),
+    ):
+        if any(isinstance(x, Tracer) for x in jax.tree.leaves(value)):
+            fail(name, "hold known numbers", f"it is traced: call {how}")
+    # Inside of a traced function too, of what is known there.
+    with jax.ensure_compile_time_eval():
+        limit = float(explicit_step(scene)) if step is None else step
     if not np.isfinite(limit):
         raise ValueError(
             "Argument `substeps` must be given, but it is None and the scene has no bending rigidity "
