@@ -173,7 +173,7 @@ def test_bending_torques_and_energy_move_beads_alike(radius, dim, law):
     # Virtual work: proof of the factor 1/2 that eq. (32) lacks, and of its form for unequal radii.
     chain = Chain(radius, 9)
     state = bent(chain, dim)
-    options = {} if law is None else {"law": law}
+    options = {} if law is None else {"discrete_curvature": law}
     rigidity = np.linspace(10, 40, 7)
     curvature = np.linspace(-0.1, 0.2, 7) if dim == 2 else 0.05
     torques = Scene(

@@ -1,5 +1,7 @@
 """Shapes over time: centre lines in the plane, beads in space."""
 
+from dataclasses import replace
+
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
@@ -18,12 +20,15 @@ _BAR = 1.25  # width of the bar of colours [inches]
 
 
 def _snapshots(points: np.ndarray, number: int) -> np.ndarray:
-    """Times between which the shape changes equally much, so that fast events are seen."""
+    """Times between which shape and place change equally much, so that fast events are seen."""
     if len(points) == 1:
         return np.zeros(1, int)
     shape = points - points.mean(axis=1, keepdims=True)
-    change = np.linalg.norm(np.diff(shape, axis=0), axis=2).mean(axis=1)
-    path = np.concatenate([[0.0], np.cumsum(change + 1e-3 * change.mean() + 1e-300)])
+    change = np.full(len(points) - 1, 1e-3 / len(points))
+    for moved in (shape, points):  # half by the shape, half by what is seen
+        step = np.linalg.norm(np.diff(moved, axis=0), axis=2).mean(axis=1)
+        change += step / max(step.sum(), 1e-300)
+    path = np.concatenate([[0.0], np.cumsum(change)])
     return np.unique(np.searchsorted(path, np.linspace(0, path[-1] * (1 - 1e-12), number)))
 
 
@@ -38,10 +43,11 @@ def shapes(
     """Shapes at `number` saved times (12, in space 6), coloured by time: centre lines in the plane, lit
     beads to scale in space, where of several fibres each has its colour and is pale at first.
 
-    The times are such that the shape changes equally much from one to the next; of saved times that are
-    far apart fewer may be left. In space a shape that a later one would hide, nearer to it than a bead's
-    radius in the mean, is left out. For more of them: a larger `number`, more saved times, or a `view`
-    that is not co-moving. **Returns** a figure with equal axes in units of the first fibre's length L.
+    The times are such that shape and place change equally much from one to the next; the bar has a mark
+    at each. In space a shape that would hide another is left out (for more of them: a larger `number`,
+    more saved times, or a `view` that is not co-moving); if less than three are left in a co-moving view
+    of beads that move by more than their thickness, the picture does not move with them.
+    **Returns** a figure with equal axes in units of the first fibre's length L.
 
     **Raises** `ValueError` for a number below 1 and a chain that does not fit.
 
@@ -75,23 +81,38 @@ def shapes(
     ax.set_aspect("equal", adjustable="datalim")
     view.draw_boundary(ax, length)
     view.label(ax)
-    figure.colorbar(ScalarMappable(scale, colours), ax=ax, label="time $t$")
+    _bar(figure, ax, ScalarMappable(scale, colours), ts[chosen])
     return figure
 
 
-def _again(shape: np.ndarray, others: np.ndarray, radii: np.ndarray) -> bool:
-    """Whether one of the others is where a shape is, or so near that one would hide the other."""
-    off = np.linalg.norm(others - shape, axis=-1)
-    return bool(np.any(off.mean(axis=-1) < radii.mean()))
+def _bar(figure: Figure, ax: Axes, colours: ScalarMappable, times: np.ndarray) -> None:
+    """A bar of colours with a mark at each of the times that are drawn."""
+    bar = figure.colorbar(colours, ax=ax, label="time $t$")
+    for t in times:
+        bar.ax.axhline(float(t), color="white", linewidth=2.2)
+        bar.ax.axhline(float(t), color="black", linewidth=1.0)
+
+
+def _apart(points: np.ndarray, radii: np.ndarray, number: int) -> np.ndarray:
+    """Times of which no shape is so near a later one that little of both is seen, as after a period."""
+    kept: list[int] = []
+    for k in _snapshots(points, number)[::-1]:
+        off = np.linalg.norm(points[kept] - points[k], axis=-1).mean(axis=-1)
+        if np.all(off > 0.5 * radii.mean()):
+            kept.append(int(k))
+    return np.array(kept[::-1])
 
 
 def _beads(
     solution: Solution, chain: Chain, number: int, view: View, axes: Axes | None, length: float
 ) -> Figure:
     points, radii = view.positions(solution, length), np.asarray(chain.radii) / length
-    chosen, ts = _snapshots(points, number), np.asarray(solution.ts)
-    # Of shapes in one place, as after a period, the last is seen.
-    chosen = chosen[[not _again(points[k], points[chosen[chosen > k]], radii) for k in chosen]]
+    chosen, ts = _apart(points, radii, number), np.asarray(solution.ts)
+    if view.co_moving and len(chosen) < min(3, number):
+        still = replace(view, co_moving=False)
+        fixed = still.positions(solution, length)
+        if np.ptp(fixed.mean(axis=1), axis=0).max() > 2 * radii.mean():
+            view, points, chosen = still, fixed, _apart(fixed, radii, number)
     scale = Normalize(ts[0], ts[-1] if len(ts) > 1 else ts[0] + 1)
     stage = Stage(view, points[chosen], float(radii.max()), length)
     low, high, size = fitted(stage.low, stage.high, 6.0, 1.5, 5.5)
@@ -109,5 +130,5 @@ def _beads(
     )
     ax.imshow(picture, extent=stage.extent, origin="lower")
     stage.furnish(ax, view.co_moving)
-    figure.colorbar(ScalarMappable(scale, bar), ax=ax, label="time $t$")
+    _bar(figure, ax, ScalarMappable(scale, bar), ts[chosen])
     return figure

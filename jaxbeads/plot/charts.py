@@ -3,7 +3,10 @@
 from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
@@ -17,15 +20,32 @@ from .base import check_chain, figure_for
 def observable(
     ts: Any, values: Any, label: str, *, time_label: str = "time $t$", axes: Axes | None = None
 ) -> Figure:
-    """A quantity over time. **Returns** a figure.
+    """A quantity over time, shape `(times,)`, or several, `(times, columns)`: each has its colour, told
+    by a legend, or by a bar if there are more than ten. **Returns** a figure. **Raises** `ValueError`
+    for values of another shape.
 
     >>> import jaxbeads.plot
     >>> figure = jaxbeads.plot.observable([0.0, 1.0, 2.0], [0.0, 1.0, 4.0], "distance $d/L$")
     >>> print(figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel())
     time $t$ distance $d/L$
     """
+    ts, values = np.asarray(ts), np.asarray(values)
+    if values.ndim not in (1, 2) or len(values) != len(ts):
+        must = f"have the shape (times,) or (times, columns) with {len(ts)} times"
+        fail("values", must, f"it is {values.shape}")
     figure, ax = figure_for(axes, (5.0, 3.2))
-    ax.plot(np.asarray(ts), np.asarray(values), color="#31688e", linewidth=1.6)
+    if values.ndim == 1 or values.shape[1] == 1:
+        ax.plot(ts, values, color="#31688e", linewidth=1.6)
+    else:
+        columns = values.shape[1]
+        scale, colours = Normalize(0, columns / 0.9 - 1), colormaps["viridis"]  # less pale yellow
+        for k in range(columns):
+            ax.plot(ts, values[:, k], color=colours(scale(k)), linewidth=1.6, label=f"{k}")
+        if columns <= 10:
+            ax.legend(title="column", fontsize=8, title_fontsize=8, ncols=1 + columns // 6)
+        else:
+            bar = figure.colorbar(ScalarMappable(scale, colours), ax=ax, label="column")
+            bar.ax.set_ylim(0, columns - 1)
     ax.xaxis.set_major_locator(MaxNLocator(6))
     ax.set_xlabel(time_label)
     ax.set_ylabel(label)
