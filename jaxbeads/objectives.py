@@ -3,7 +3,8 @@
 Pure functions of a trajectory, to be differentiated, batched and compiled. A periodic motion is
 measured over whole periods: give a solution that holds just these, with equal times (a `rollout` from a
 `periodic_state`, or `scenes.last_period`). Means over time are by the trapezoidal rule, which then
-converges faster than any power of the number of times.
+converges faster than any power of the number of times. A run that broke down (`code` is not 0) has none
+of them: they are not a number, lest the best of many runs be one that went wrong.
 """
 
 from collections.abc import Callable
@@ -19,6 +20,7 @@ from ._checks import fail, non_zero, positive, shape
 from .dynamics import constraint_load
 from .geometry import norm
 from .observables import power, pumping_rate, swimming_efficiency
+from .outcome import Outcome
 from .scene import Scene
 from .solution import Solution
 from .state import State
@@ -49,7 +51,13 @@ def mean_over_time(function: Callable[..., Any], solution: Solution, scene: Scen
     >>> print(jb.objectives.mean_over_time(jb.observables.settling_velocity, fall, scene).round(4))
     [ 0.     -0.3183]
     """
-    return _mean(function, solution.ts, solution.states, scene)
+    return _of_a_fine_run(solution, _mean(function, solution.ts, solution.states, scene))
+
+
+def _of_a_fine_run(solution: Solution, values: Any) -> Any:
+    """Values that a run gave, or NaN if it broke down."""
+    fine = solution.code == Outcome.FINE
+    return jax.tree.map(lambda value: jnp.where(fine, value, jnp.nan), values)
 
 
 @eqx.filter_jit
@@ -70,7 +78,8 @@ def displacement(solution: Solution) -> Float[Array, " dim"]:
     [ 0.     -0.6366]
     """
     position = solution.states.position
-    return jnp.mean(position[-1], axis=0) - jnp.mean(position[0], axis=0)
+    moved = jnp.mean(position[-1], axis=0) - jnp.mean(position[0], axis=0)
+    return _of_a_fine_run(solution, moved)
 
 
 def distance(solution: Solution) -> Float[Array, ""]:
@@ -223,4 +232,5 @@ def shape_error(solution: Solution, data: Any, *, moved: bool = False) -> Float[
     apart = solution.states.position - jnp.asarray(data)
     if moved:
         apart = apart - jnp.mean(apart, axis=1, keepdims=True)
-    return norm(apart.ravel()) / (apart.shape[0] * apart.shape[1]) ** 0.5
+    error = norm(apart.ravel()) / (apart.shape[0] * apart.shape[1]) ** 0.5
+    return _of_a_fine_run(solution, error)

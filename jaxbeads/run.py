@@ -160,8 +160,12 @@ class Run:
         except KeyboardInterrupt:
             ending = Outcome.INTERRUPTED
             self.look()
-            reached = self.parts[-1].ts[-1]
-            warnings.warn(f"The run was interrupted at t = {reached:g}.", stacklevel=3)
+            reached = float(self.parts[-1].ts[-1])
+            kept = "" if self.target is None else " `resume` goes on from its last step."
+            warnings.warn(
+                f"The run was interrupted; its last saved time is t = {reached:g}.{kept}",
+                stacklevel=3,
+            )
         solution = self.ended(ending)
         _warn_of_laws(self.scene, self.stepper, solution)
         return solution

@@ -65,7 +65,7 @@ class SteadyState(eqx.Module):
             return eqx.tree_pformat(self)
         if not self.converged:
             return "SteadyState: not converged"
-        largest = float(np.max(self.growth_rates.real, initial=-np.inf))
+        largest = float(np.max(np.real(self.growth_rates), initial=-np.inf))
         least = NEUTRAL * np.max(np.abs(self.jacobian), initial=0.0)
         how = "unstable" if largest > least else "stable"
         lines = [

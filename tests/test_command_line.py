@@ -192,7 +192,10 @@ def test_ctrl_c_is_no_success(tmp_path):
     assert process.returncode == 130
     results = json.loads(printed.splitlines()[-1])
     assert results["status"] == "interrupted" and set(results) == RUN
-    assert "interrupted" in printed.splitlines()[0] and "was interrupted at t =" in said
+    assert (
+        "interrupted" in printed.splitlines()[0]
+        and "was interrupted; its last saved time is t =" in said
+    )
     assert "Traceback" not in said
     assert [path.name for path in tmp_path.iterdir()] == ["settling.h5"]
     assert jaxbeads.load(tmp_path / "settling.h5").status == "unfinished"

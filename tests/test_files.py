@@ -152,7 +152,7 @@ def test_a_run_goes_on_from_the_middle_of_an_interval(options, tmp_path, monkeyp
             raise KeyboardInterrupt
 
     monkeypatch.setattr(module.Bar, "tell", press_ctrl_c)
-    with pytest.warns(UserWarning, match=r"interrupted at t = 40"):
+    with pytest.warns(UserWarning, match=r"its last saved time is t = 40. `resume`"):
         part = simulate(model(), state, times, progress=False, file=path, **options)
     assert len(part.ts) == 2 and bits(load(path)) == bits(part)
     assert np.all(np.diff([t for t, _ in seen]) > 0) and 40 < seen[-1][0] < 80

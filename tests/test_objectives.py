@@ -1,12 +1,13 @@
 """Objectives against trajectories and forces that are known."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import bent
 
-from jaxbeads import Chain, Scene, Solution, State, objectives, rollout, straight
+from jaxbeads import Chain, Outcome, Scene, Solution, State, objectives, rollout, straight
 from jaxbeads.constraint import Gears, hinged
 from jaxbeads.force import Bending, Weight
 
@@ -93,3 +94,20 @@ def test_what_is_refused():
         objectives.thrust(run, scene, [1.0, 0.0, 0.0])
     with pytest.raises(ValueError, match="`data` must have shape"):
         objectives.shape_error(run, np.zeros((3, 2)))
+
+
+def test_a_run_that_broke_down_has_no_value():
+    # Its numbers may be finite, with bonds off their lengths, and a larger speed than a good run's.
+    chain = Chain(1.0, 4)
+    model = Scene(chain, 1.0, constraints=[Gears()], forces=[Bending(1.0), Weight([0.0, -1.0])])
+    run = rollout(model, bent(chain), [0.0, 10.0, 20.0], substeps=10)
+    assert run.code == 0 and np.isfinite(objectives.distance(run))
+    broken = eqx.tree_at(lambda r: r.code, run, jnp.asarray(int(Outcome.BROKEN)))
+    data = run.states.position
+    for value in (
+        objectives.distance(broken),
+        objectives.mean_power(broken, model),
+        objectives.shape_error(broken, data),
+    ):
+        assert np.isnan(value)
+    assert objectives.shape_error(run, data) == 0

@@ -4,9 +4,8 @@ Passive fibres: `jeffery`, `shear`, `settling`, `relaxation`; driven ones: `plan
 `helical_beating`, `follower_force`; swimmers: `nematode`, `nematode_pair`, `spiral`,
 `three_sphere`; at a no-slip wall: `cilium`, `cilia_row`, `settling_wall`, `nematode_wall`. Each
 returns a `Case` (scene, state, times and how to step); `case.simulate()` runs it. A new one is a
-file here, its import and its `ReadyMade` in `SCENES` below, where the shell (`python -m jaxbeads`) and
-the tests of all scenes find it. `GEARS`, `JOINT` and `SPRING` are bead models that may be exchanged for
-one another.
+file here and a line below: the shell (`python -m jaxbeads`) and the tests of all scenes find its
+`ReadyMade`. `GEARS`, `JOINT` and `SPRING` are bead models that may be exchanged for one another.
 """
 
 from .beating import *
@@ -22,21 +21,7 @@ from .shear import *
 from .spiral import *
 from .three_sphere import *
 
-SCENES: tuple[ReadyMade, ...] = (
-    JEFFERY,
-    SHEAR,
-    SETTLING,
-    RELAXATION,
-    PLANAR_BEATING,
-    HELICAL_BEATING,
-    FOLLOWER_FORCE,
-    NEMATODE,
-    NEMATODE_PAIR,
-    SPIRAL,
-    THREE_SPHERE,
-    CILIUM,
-    CILIA_ROW,
-    SETTLING_WALL,
-    NEMATODE_WALL,
+SCENES: tuple[ReadyMade, ...] = tuple(
+    ready for ready in dict(globals()).values() if isinstance(ready, ReadyMade)
 )
-"""All ready-made scenes, in the order of the README's table."""
+"""All ready-made scenes, in the order of their files."""
