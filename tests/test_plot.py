@@ -132,6 +132,22 @@ def test_observable_draws_the_values():
     assert ax.get_xlabel() == r"$\dot\gamma t$"
 
 
+@pytest.mark.parametrize("columns", [1, 9, 14])
+def test_columns_of_an_observable_are_told_apart(columns):
+    values = np.sin(TIMES[:, None] * np.arange(1, columns + 1))
+    figure = plot.observable(TIMES, values, "tension")
+    ax = figure.axes[0]
+    assert np.array_equal([line.get_ydata() for line in ax.lines], values.T)
+    assert len({str(line.get_color()) for line in ax.lines}) == columns
+    assert len(figure.axes) == (2 if columns > 10 else 1)
+    texts = [text.get_text() for text in ax.get_legend().get_texts()] if columns == 9 else []
+    assert texts == [str(k) for k in range(columns)] if columns == 9 else ax.get_legend() is None
+    with pytest.raises(
+        ValueError, match=r"`values` must have the shape .* with 7 times, but it is"
+    ):
+        plot.observable(TIMES, values[1:], "tension")
+
+
 def curvature(position, length):
     """Independent of `observables`: sine of the turning angle over the bond length."""
     bond = np.diff(position, axis=1)
@@ -351,6 +367,38 @@ def test_a_shape_that_comes_again_is_drawn_once():
     assert not np.any((blue - picture[..., 1] > 60) & (red > 60))  # not the first, in violet
 
 
+def falling(chain, depth, dim=3, times=21):
+    """A straight fibre that falls and does not bend, by a depth over its length."""
+    start = np.asarray(straight(chain, np.eye(dim)[0]).position)
+    ts = np.linspace(0.0, 2.0, times)
+    down = -depth * float(chain.length[0]) * ts[:, None, None] / 2 * np.eye(dim)[-1]
+    like = trajectory("planar")
+    return eqx.tree_at(
+        lambda s: (s.ts, s.states.position),
+        like,
+        (jax.numpy.asarray(ts), jax.numpy.asarray(start + down)),
+    )
+
+
+def marks(figure):
+    return np.array([line.get_ydata()[0] for line in figure.axes[1].lines[::2]])
+
+
+@pytest.mark.parametrize("co_moving", [False, True])
+@pytest.mark.parametrize("depth", [0.25, 5.0])
+def test_several_shapes_of_a_fibre_that_falls(depth, co_moving):
+    # Seen where they are: moving with the centre they would all be one.
+    chain = CHAINS["spatial"]
+    figure = plot.shapes(falling(chain, depth), chain, view=plot.View(co_moving=co_moving))
+    times = marks(figure)
+    assert len(times) >= 3 and times[-1] == 2.0 and np.ptp(np.diff(times)) < 0.25
+    assert "moving" not in figure.axes[0].get_xlabel()
+    if depth > 1:
+        assert len(times) == 6
+    still = plot.shapes(falling(chain, 0.0), chain, view=plot.View(co_moving=co_moving))
+    assert np.array_equal(marks(still), [2.0])
+
+
 @pytest.mark.parametrize("wall", [False, True])
 def test_a_floor_below_the_beads_has_their_shadows(wall):
     domain = NoSlipWall([0.0, 0.0, -1.5], [0.0, 0.0, 1.0])
@@ -424,6 +472,61 @@ def test_a_page_holds_all_that_it_needs(case, tmp_path):
         plot.html(solution, chain, tmp_path / "page.htm")
     with pytest.raises(ValueError, match="`path` must be a file that can be written"):
         plot.html(solution, chain, tmp_path / "no" / "page.html")
+
+
+@pytest.fixture
+def pages(monkeypatch):
+    """The plots of `k3d` that are made."""
+    k3d = pytest.importorskip("k3d")
+    made, plain = [], k3d.plot
+    monkeypatch.setattr(k3d, "plot", lambda **options: made.append(plain(**options)) or made[-1])
+    return made
+
+
+@pytest.mark.parametrize("co_moving", [False, True])
+@pytest.mark.parametrize("depth", [0.0, 1.0, 40.0])
+@pytest.mark.parametrize("dim, beads", [(2, 6), (3, 6), (3, 1)])
+def test_a_page_shows_all_beads_as_it_opens(dim, beads, depth, co_moving, pages, tmp_path):
+    chain = Chain(1.0, beads)
+    solution = falling(chain, depth, dim)
+    plot.html(solution, chain, tmp_path / "a.html", view=plot.View(co_moving=co_moving))
+    (page,) = pages
+    assert not page.grid_visible and len(page.objects) == 2
+    centres = np.array(list(page.objects[0].positions.values()), float).reshape(-1, 3)
+    low, high = page.objects[1].positions  # without which k3d would cut off what moves far
+    assert np.all(low < centres) and np.all(centres < high)
+    place, target, up = np.reshape(page.camera, (3, 3))
+    ahead = (target - place) / np.linalg.norm(target - place)
+    right = np.cross(ahead, up)
+    assert abs(np.linalg.norm(right) - 1) < 1e-9
+    # Points of the spheres' surfaces, in a window of 6 to 5.
+    way = np.random.default_rng(0).normal(size=(300, 3))
+    way *= float(page.objects[0].point_sizes[0]) / 2 / np.linalg.norm(way, axis=1, keepdims=True)
+    off = (centres[:, None] + way).reshape(-1, 3) - place
+    deep = off @ ahead
+    half = np.tan(np.radians(page.camera_fov / 2))
+    across, high = (np.abs(off @ axis / deep) / half for axis in (right, up))
+    assert deep.min() > 0 and across.max() < 1.2 * 0.95 and high.max() < 0.95
+    assert across.max() > 1.2 * 0.8 or high.max() > 0.8  # nor is it far away
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_page_shows_the_wall(dim, pages, tmp_path):
+    chain = CHAINS["spatial"]
+    solution, level = falling(chain, 0.5, dim), -8.0
+    wall = NoSlipWall(level * np.eye(dim)[-1], 3.0 * np.eye(dim)[-1])
+    for co_moving in (False, True):
+        view = plot.View(domain=wall, co_moving=co_moving)
+        plot.html(solution, chain, tmp_path / "a.html", view=view)
+    seen, moving = pages
+    assert len(moving.objects) == 2
+    corners = seen.objects[2].vertices
+    assert np.allclose(corners[:, dim - 1], level / float(chain.length[0]), atol=1e-6)
+    flat = np.delete(corners, dim - 1, axis=1)
+    assert np.allclose(np.linalg.norm(flat - np.roll(flat, 1, axis=0), axis=1), np.ptp(flat))
+    places = np.array(list(seen.objects[0].positions.values())).reshape(-1, 3)
+    places = np.delete(places, dim - 1, axis=1)
+    assert np.all(flat.min(0) < places.min(0)) and np.all(places.max(0) < flat.max(0))
 
 
 @pytest.mark.slow

@@ -75,6 +75,12 @@ def html(
         name=path.stem, camera_auto_fit=False, camera_fov=_FIELD, grid_visible=False, time_speed=1.0
     )
     page += maker.points(shown, point_sizes=sizes, colors=colours, shader="3d")
+    # k3d draws as deep as what is there at first: two points, as good as unseen, reach about all.
+    far = float(radii.max())
+    ends: Any = np.stack(
+        [lifted[chosen].min(axis=(0, 1)) - far, lifted[chosen].max(axis=(0, 1)) + far]
+    )
+    page += maker.points(ends, point_size=1e-3 * far, color=0xFFFFFF, shader="flat")
     wall = view.wall(position[chosen], length)
     if wall is not None:
         square = _square(lifted[chosen].reshape(-1, 3), float(radii.max()), *wall)
