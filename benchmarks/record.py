@@ -80,7 +80,11 @@ def command(words: Sequence[str]) -> str:
 
 
 def commit() -> str:
-    """`git describe`, `-dirty` if code differs; where the tree has no git, what JAXBEADS_COMMIT says."""
+    """What JAXBEADS_COMMIT says, as where a tree is copied without its history; or else `git describe`,
+    `-dirty` if code differs.
+    """
+    if told := os.environ.get("JAXBEADS_COMMIT"):
+        return told
 
     def git(*words: str) -> str:
         return subprocess.run(
@@ -92,7 +96,7 @@ def commit() -> str:
         code = ("jaxbeads/**/*.py", "benchmarks/*.py")
         changed = git("status", "--porcelain", "--", *(f":(glob){path}" for path in code))
     except (OSError, subprocess.CalledProcessError):
-        return os.environ.get("JAXBEADS_COMMIT", "unknown")
+        return "unknown"
     return name + "-dirty" * bool(changed)
 
 

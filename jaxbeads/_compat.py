@@ -25,8 +25,9 @@ import functools
 import importlib
 import math
 import threading
+import time
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -306,26 +307,36 @@ def forget_cache() -> None:
 
 
 class CompileClock:
-    """Seconds that JAX has spent tracing, lowering and compiling since the first clock was made."""
+    """Seconds that JAX has spent tracing, lowering and compiling since the first clock was made.
 
-    _heard: dict[str, float] | None = None
+    JAX says how long something took when it ends. What is traced for another thing is part of that one's
+    time, and counts once.
+    """
+
+    _heard: ClassVar[set[str] | None] = None
+    _stretches: ClassVar[list[tuple[float, float]]] = []
+    """Of time, one after the other."""
+    _total: ClassVar[float] = 0.0
 
     def __init__(self) -> None:
         if CompileClock._heard is None and _listen is not None:
-            CompileClock._heard = {}
+            CompileClock._heard = set()
             _listen(CompileClock._hear)
-        self.start = self._total()
+        self.start = CompileClock._total
 
     @staticmethod
     def _hear(event: str, duration_secs: float, **_: str | int) -> None:
-        heard = CompileClock._heard
-        if event in COMPILING and heard is not None:
-            heard[event] = heard.get(event, 0.0) + duration_secs
-
-    @staticmethod
-    def _total() -> float:
-        return sum((CompileClock._heard or {}).values(), 0.0)
+        if event in COMPILING and CompileClock._heard is not None:
+            CompileClock._heard.add(event)
+            stretches, end = CompileClock._stretches, time.perf_counter()
+            begin = end - duration_secs
+            while stretches and stretches[-1][0] >= begin:
+                first, last = stretches.pop()
+                CompileClock._total -= last - first
+            begin = max(begin, stretches[-1][1]) if stretches else begin
+            stretches.append((begin, end))
+            CompileClock._total += end - begin
 
     def read(self) -> float:
         """Seconds since this clock was made; NaN if JAX has never said any."""
-        return self._total() - self.start if CompileClock._heard else math.nan
+        return CompileClock._total - self.start if CompileClock._heard else math.nan

@@ -88,6 +88,15 @@ def test_compiling_is_reported():
     assert clock.read() > 0
 
 
+def test_what_is_traced_for_another_thing_counts_once(monkeypatch):
+    clock, (event, *_) = _compat.CompileClock(), _compat.COMPILING
+    for now, seconds in ((1e9 + 1.0, 0.25), (1e9 + 1.5, 0.25), (1e9 + 2.0, 1.25), (1e9 + 3.0, 0.5)):
+        monkeypatch.setattr(_compat.time, "perf_counter", lambda now=now: now)
+        _compat.CompileClock._hear(event, seconds)
+    assert abs(clock.read() - 1.75) < 1e-6
+    del _compat.CompileClock._stretches[-2:]
+
+
 def test_named_values_are_kept():
     @checkpointed
     def step(x):
