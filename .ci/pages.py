@@ -6,6 +6,7 @@ They go to `out/pages` unless said, `index.html` first, and need no network. A w
 """
 
 import ast
+import contextlib
 import importlib
 import re
 import sys
@@ -77,7 +78,10 @@ def build(folder: Path) -> None:
     for module, listed in shown.items():  # `pdoc` keeps to it, and to its order
         module.__all__ = [*inner, *listed] if module is package else listed
     pdoc.render.configure(show_source=False, footer_text=f"{PACKAGE} {package.__version__}")
-    with warnings.catch_warnings():
+    folder = folder.resolve()
+    folder.mkdir(parents=True, exist_ok=True)
+    # From a folder where nothing else is called as the package: an installed one would be doubtful.
+    with warnings.catch_warnings(), contextlib.chdir(folder):
         warnings.simplefilter("error")
         others_out = rf"!{PACKAGE}\.(?!({'|'.join(inner)})$)"
         pdoc.pdoc(PACKAGE, others_out, output_directory=folder)

@@ -19,7 +19,7 @@ from ..solution import Solution
 from .base import WHOLE, View, bead_colours, check_chain, fitted
 from .space import Stage
 
-_DPI, _WIDTH, _HEIGHT = 100, 9.0, 6.5  # of what is drawn [inches]
+_DPI, _WIDTH, _HEIGHT = 100, 8.85, 6.5  # of what is drawn [inches]
 _SHARP = Image.Dither.NONE
 _MOST = 2_000_000  # bytes of a gif that a talk or a page likes
 
@@ -134,7 +134,7 @@ def _in_plane(
     shown = view.shown(points[chosen], length)
     low, high = shown.min(axis=0) - margin, shown.max(axis=0) + margin
     low, high, size = fitted(low, high, _WIDTH, 1.5, _HEIGHT)
-    figure, canvas, where = _canvas(size, (0.8, 0.2, 0.65, 0.4))
+    figure, canvas, where = _canvas(size, (0.95, 0.2, 0.65, 0.4))
     ax = figure.add_axes(where)
     colours = bead_colours(chain)
     ax.set_xlim(low[0], high[0])
@@ -160,7 +160,7 @@ def _in_space(
     length = float(chain.length[0])
     points, radii = view.positions(solution, length), np.asarray(chain.radii) / length
     stage = Stage(view, points[chosen], float(radii.max()), length)
-    low, high, size = fitted(stage.low, stage.high, _WIDTH + 0.8, 2.0, _HEIGHT + 0.4)
+    low, high, size = fitted(stage.low, stage.high, _WIDTH + 0.95, 2.0, _HEIGHT + 0.4)
     stage.resize(low, high, round(_DPI * size[0]))
     figure, canvas, where = _canvas(size, (0.1, 0.1, 0.45, 0.4))
     ax = figure.add_axes(where)
