@@ -147,8 +147,8 @@ class Run:
         self.piece, self.looked = _Piece(carry, done, [], carry), time.perf_counter()
         length, times = _chunk_length(intervals, self.chunk), self.times
         try:
-            first, now, end = (float(times[k]) for k in (0, done, -1))
-            with Bar(first, end, now, self.progress) as bar:
+            begun, now, end = (float(times[k]) for k in (0, done, -1))
+            with Bar(begun, end, now, self.progress) as bar:
                 while done < intervals:
                     last = min(done + length, intervals)
                     for index in range(done, last):
