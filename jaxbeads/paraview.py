@@ -3,6 +3,7 @@
 Everything is in space: planar scenes lie in the plane z = 0, and turn about z.
 """
 
+import importlib.util
 import re
 import warnings
 from collections.abc import Sequence
@@ -33,15 +34,11 @@ _STATES = re.compile(r"beads_\d+\.vtp")
 
 def check_paraview() -> None:
     """Refuse to write such files where VTK is not installed. **Raises** `ValueError`, one sentence."""
-    try:
-        # Not `import vtk`, which loads all of it, windows included.
-        import vtkmodules.util.numpy_support
-        import vtkmodules.vtkIOXML  # noqa: F401
-    except ImportError:
+    if importlib.util.find_spec("vtkmodules") is None:
         raise ValueError(
             "Files for ParaView need the package vtk, which is not installed: install the extra "
             "`paraview`."
-        ) from None
+        )
 
 
 def to_paraview(solution: Solution, scene: Scene, path: str | Path) -> Path:

@@ -89,9 +89,7 @@ def _warn_of_laws(scene: Scene, stepper: Stepper, solution: Solution) -> None:
 
 
 def _chunk_length(intervals: int, wanted: int | None) -> int:
-    """Intervals in a chunk: a divisor of all, so that a run stops (`until`) after as many of them
-    whether or not it was resumed.
-    """
+    """Intervals in a chunk: a divisor of all, so that all are equally long."""
     most = max(1, intervals // 20) if wanted is None else wanted
     return max(n for n in range(1, min(most, intervals) + 1) if intervals % n == 0)
 
@@ -150,7 +148,8 @@ class Run:
             begun, now, end = (float(times[k]) for k in (0, done, -1))
             with Bar(begun, end, now, self.progress) as bar:
                 while done < intervals:
-                    last = min(done + length, intervals)
+                    # Where chunks end does not depend on where the run was resumed.
+                    last = (done // length + 1) * length
                     for index in range(done, last):
                         self.interval(index, bar)
                     self.look()
@@ -184,7 +183,7 @@ class Run:
         unfinished = True
         while unfinished and (piece := self.piece) is not None:
             carry, state, t = self.stretch(piece.now, index)
-            unfinished = bool(carry.taken > 0)
+            unfinished = int(carry.taken) > 0
             states = piece.states if unfinished else [*piece.states, state]
             # In one piece: an interrupt finds it as it was before, or as it is after.
             self.piece = _Piece(piece.before, piece.first, states, carry)
@@ -231,7 +230,7 @@ class Run:
     def again(self, carry: Carry, index: int) -> tuple[Carry, State]:
         """What is left of an interval, once more."""
         carry, state, _ = self.stretch(carry, index)
-        while bool(carry.taken > 0):
+        while int(carry.taken) > 0:
             carry, state, _ = self.stretch(carry, index)
         return carry, state
 

@@ -161,6 +161,25 @@ def test_a_run_goes_on_from_the_middle_of_an_interval(options, tmp_path, monkeyp
     assert bits(load(path)) == bits(whole) and int(rest.steps) == steps
 
 
+def test_a_resumed_run_stops_where_the_whole_one_does(tmp_path, monkeypatch):
+    # `until` is asked after the same save times, wherever the run was interrupted.
+    path, state = tmp_path / "run.h5", bent(CHAIN)
+    options = {"substeps": 3, "chunk": 3, "progress": False, "until": lambda s: s.ts[-1] > TIMES[4]}
+    whole = simulate(model(), state, TIMES, **options)
+    assert len(whole.ts) == 7
+
+    def press_ctrl_c(self, t, taken):
+        if t >= TIMES[4]:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Bar, "tell", press_ctrl_c)
+    with pytest.warns(UserWarning, match="interrupted"):
+        assert len(simulate(model(), state, TIMES, file=path, **options).ts) == 5
+    monkeypatch.undo()
+    resume(path, model(), **options)
+    assert bits(load(path)) == bits(whole)
+
+
 def test_a_bar_tells_the_time_reached(capsys):
     with Bar(1.0, 5.0, 1.0, shown=True) as bar:
         bar.tell(2.0, 30)

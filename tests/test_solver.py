@@ -165,6 +165,14 @@ def test_adaptive_steps(solver):
     assert steps[1] > 1.5 * steps[0]
 
 
+def test_steps_of_a_known_scene_are_found_within_a_program():
+    model = Scene(Chain(1.0, 3), 1.0, constraints=[Gears()], forces=[Bending(16.0)])
+    found = jax.jit(lambda x: x * substeps_for(model, [0.0, 10.0]))(1.0)  # safe steps of 1
+    assert int(found) == substeps_for(model, [0.0, 10.0]) >= 10
+    with pytest.raises(ValueError, match="`ts` must hold known numbers"):
+        jax.jit(lambda t: substeps_for(model, t))(jnp.asarray([0.0, 10.0]))
+
+
 def test_rollout_says_when_its_steps_are_too_long():
     # Finite, plausible numbers of an active fibre whose bonds are far off: under jit only `code` tells.
     chain = Chain(1.0, 8)

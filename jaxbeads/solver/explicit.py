@@ -41,16 +41,11 @@ def substeps_for(scene: Scene, ts: Any, step: float | None = None) -> int:
     >>> jb.solver.substeps_for(scene, [0.0, 10.0, 20.0]) >= 10  # a safe step is 1
     True
     """
-    for name, value, how in (
-        ("ts", ts, "`substeps_for` outside"),
-        (
-            "scene",
-            scene if step is None else None,
-            "`substeps_for` outside, with the stiffest value",
-        ),
-    ):
-        if any(isinstance(x, Tracer) for x in jax.tree.leaves(value)):
-            fail(name, "hold known numbers", f"it is traced: call {how}")
+    if _traced(ts):
+        fail("ts", "hold known numbers", "it is traced: call `substeps_for` outside")
+    if step is None and _traced(scene):
+        how = "it is traced: call `substeps_for` outside, with the stiffest value"
+        fail("scene", "hold known numbers", how)
     # Inside of a traced function too, of what is known there.
     with jax.ensure_compile_time_eval():
         limit = float(explicit_step(scene)) if step is None else step
@@ -67,3 +62,7 @@ def substeps_for(scene: Scene, ts: Any, step: float | None = None) -> int:
     steps = max(1, int(np.ceil(gap / limit * (1 - max(1e-9, slack)))))
     block = int(np.sqrt(steps))  # a number that `FixedSteps` can cut into blocks
     return -(-steps // block) * block
+
+
+def _traced(tree: Any) -> bool:
+    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
