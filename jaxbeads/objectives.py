@@ -184,11 +184,12 @@ def _pumped(along: Array, t: Array, state: State, scene: Scene) -> Array:
 
 
 def pumping_efficiency(solution: Solution, scene: Scene, along: Any) -> Float[Array, ""]:
-    """mu Q^2/(L^3 P) of a cilium at a no-slip wall, with its mean pumping rate Q along a direction, its
-    mean power P and its length L. That of a given sequence of shapes depends neither on the viscosity
-    nor on the frequency (after Osterman & Vilfan, PNAS 108 (2011) 15727).
+    """mu Q^2/(n L^3 P) of n cilia at a no-slip wall, with their mean pumping rate Q along a direction,
+    their mean power P and the length L of each. That of a given sequence of shapes depends neither on
+    the viscosity nor on the frequency, and that of cilia far from one another not on their number
+    (after Osterman & Vilfan, PNAS 108 (2011) 15727).
 
-    **Raises** `ValueError` for several fibres.
+    **Raises** `ValueError` for fibres of unequal numbers of beads.
 
     >>> import jax.numpy as jnp
     >>> import jaxbeads as jb
@@ -201,11 +202,12 @@ def pumping_efficiency(solution: Solution, scene: Scene, along: Any) -> Float[Ar
     >>> print(f"{3.0**2 / (2.0**3 * power):.4f}")  # mu Q^2/(L^3 P)
     2.6303
     """
-    if (several := len(scene.chain.fibres)) > 1:
-        fail("scene.chain", "be one fibre", f"it has {several}")
+    fibres = scene.chain.fibres
+    if len(set(fibres)) > 1:
+        fail("scene.chain", "have fibres of one number of beads", f"they have {fibres}")
     both = jax.tree_util.Partial(_pumped_and_used, jnp.asarray(along, float))
     rate, used = mean_over_time(both, solution, scene)
-    return scene.viscosity * rate**2 / (scene.chain.length[0] ** 3 * used)
+    return scene.viscosity * rate**2 / (jnp.sum(scene.chain.length**3) * used)
 
 
 def _pumped_and_used(along: Array, t: Array, state: State, scene: Scene) -> tuple[Array, Array]:

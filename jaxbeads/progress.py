@@ -1,24 +1,38 @@
 """What a person sees of a run while it goes on, and how long the host lets the device go on alone."""
 
+import math
 import threading
 import time
+from collections.abc import Callable
 from typing import Any
 
 _LOOK = 0.5
 """Seconds between two looks at a run, about."""
 _MOST = 2**30
+_COMPILING = 4.0
+"""Seconds in which a run's program is traced, lowered and compiled, over those of the first two: 3.4 in
+the plane, 4.2 in space (`benchmarks/startup.py`). JAX tells of each part when it ends, and the last is
+the long one."""
 
 
 class Bar:
     """A progress bar of the simulated time, which also ticks while a program is compiled.
 
-    **Arguments**: first and last time; the time at which the run begins; whether anything is shown.
+    **Arguments**: first and last time; the time at which the run begins; whether anything is shown;
+    what tells the seconds of compiling that have ended.
     """
 
-    def __init__(self, first: float, last: float, now: float, shown: bool) -> None:
+    def __init__(
+        self,
+        first: float,
+        last: float,
+        now: float,
+        shown: bool,
+        compiled: Callable[[], float] = lambda: math.nan,
+    ) -> None:
         from tqdm.auto import tqdm  # it warns on import in a notebook without widgets
 
-        self.first, self.last = first, last
+        self.first, self.last, self.compiled = first, last, compiled
         self.bar: Any = tqdm(
             desc="compiling",
             total=1.0,
@@ -26,7 +40,7 @@ class Bar:
             disable=not shown,
             bar_format="{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}",
         )
-        self.over = threading.Event()
+        self.begun, self.over = False, threading.Event()
         if shown:
             threading.Thread(target=self._tick, daemon=True).start()
 
@@ -42,10 +56,14 @@ class Bar:
 
     def _tick(self) -> None:
         while not self.over.wait(1.0):
+            if not self.begun and self.compiled() > 0:
+                expected = max(1.0, _COMPILING * self.compiled())
+                self.bar.set_description_str(f"compiling, about {expected:.0f} s", refresh=False)
             self.bar.refresh()
 
     def tell(self, t: float, steps: int) -> None:
         """The time reached, and the steps that it took."""
+        self.begun = True
         if not self.bar.disable:
             self.bar.set_description_str(
                 f"t = {t:.4g} of {self.last:.4g}, {steps} steps", refresh=False

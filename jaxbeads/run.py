@@ -146,7 +146,7 @@ class Run:
         length, times = _chunk_length(intervals, self.chunk), self.times
         try:
             begun, now, end = (float(times[k]) for k in (0, done, -1))
-            with Bar(begun, end, now, self.progress) as bar:
+            with Bar(begun, end, now, self.progress, self.clock.compiling.read) as bar:
                 while done < intervals:
                     # Where chunks end does not depend on where the run was resumed.
                     last = (done // length + 1) * length

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import diffrax
@@ -188,6 +189,18 @@ def test_a_bar_tells_the_time_reached(capsys):
         bar.tell(5.0, 70)
     assert "compiling:   0%" in half and "t = 2 of 5, 30 steps:  25%" in half
     assert "t = 5 of 5, 70 steps: 100%" in capsys.readouterr().err
+
+
+def test_a_bar_says_how_long_it_will_compile(capsys):
+    # Four times what has been traced and lowered: the rest is told only when it ends.
+    with Bar(0.0, 1.0, 0.0, shown=True, compiled=lambda: 1.6) as bar:
+        said = ""
+        while "about" not in said:
+            time.sleep(0.1)
+            said += capsys.readouterr().err
+        bar.tell(0.5, 3)
+    assert "compiling, about 6 s:   0%" in said
+    assert "t = 0.5 of 1, 3 steps:  50%" in capsys.readouterr().err
 
 
 def test_a_pace_of_half_a_second():

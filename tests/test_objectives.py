@@ -7,7 +7,17 @@ import numpy as np
 import pytest
 from cases import bent
 
-from jaxbeads import Chain, Outcome, Scene, Solution, State, objectives, rollout, straight
+from jaxbeads import (
+    Chain,
+    NoSlipWall,
+    Outcome,
+    Scene,
+    Solution,
+    State,
+    objectives,
+    rollout,
+    straight,
+)
 from jaxbeads.constraint import Gears, hinged
 from jaxbeads.force import Bending, Weight
 
@@ -111,3 +121,21 @@ def test_a_run_that_broke_down_has_no_value():
     ):
         assert np.isnan(value)
     assert objectives.shape_error(run, data) == 0
+
+
+def test_pumping_efficiency_of_several():
+    # Each pumps as one alone; pushed side by side they move faster, which takes more power.
+    wall, push = NoSlipWall([0.0, 0.0], [0.0, 1.0]), Weight([1.0, 0.0])
+
+    def efficiency(fibres, apart):
+        chain = Chain(1.0, fibres)
+        x = np.stack([apart * np.arange(chain.beads), np.full(chain.beads, 3.0)], axis=1)
+        scene = Scene(chain, 2.0, forces=[push], domain=wall)
+        run = rollout(scene, State(x), np.linspace(0.0, 1.0, 3), substeps=1)
+        return objectives.pumping_efficiency(run, scene, [1.0, 0.0])
+
+    alone = efficiency((1,), 0.0)
+    np.testing.assert_allclose(efficiency((1, 1, 1), 1e4), alone, rtol=1e-9)
+    assert efficiency((1, 1, 1), 3.0) < 0.9 * alone
+    with pytest.raises(ValueError, match=r"`scene.chain` must have fibres of one number of beads"):
+        efficiency((1, 2), 1e4)
