@@ -107,8 +107,12 @@ def test_a_wall_is_drawn_where_it_is_seen():
     assert x.min() < ax.get_xlim()[0] and ax.get_xlim()[1] < x.max() and y.min() < ax.get_ylim()[0]
     _, (stretched,) = drawn(domain=wall, stretch=20.0)
     assert abs(stretched.get_xy()[:, 1].max() - 20 * y.max()) < 1e-9
-    for options in ({}, {"domain": wall, "co_moving": True}):
-        assert not drawn(**options)[1]
+    assert not drawn()[1]
+    along, (beside,) = drawn(
+        domain=wall, co_moving=True
+    )  # it follows the fibre along the wall alone
+    assert abs(beside.get_xy()[:, 1].max() - y.max()) < 1e-12
+    assert (along.get_xlabel(), along.get_ylabel()) == ("$(x - x_c)/L$", "$y/L$")
     far, (_,) = drawn(domain=NoSlipWall([0.0, -1000.0], [0.0, 1.0]))
     assert far.get_ylim()[0] > -5  # the fibre is what is to be seen
 
@@ -519,7 +523,16 @@ def test_a_page_shows_the_wall(dim, pages, tmp_path):
         view = plot.View(domain=wall, co_moving=co_moving)
         plot.html(solution, chain, tmp_path / "a.html", view=view)
     seen, moving = pages
-    assert len(moving.objects) == 2
+    # What moves with the centre moves along the wall alone.
+    for page in (seen, moving):
+        height = page.objects[2].vertices[:, dim - 1]
+        assert np.allclose(height, level / float(chain.length[0]), atol=1e-6)
+    fixed, followed = (
+        np.array(list(page.objects[0].positions.values())).reshape(-1, chain.beads, 3)
+        for page in pages
+    )
+    assert np.allclose(fixed[..., dim - 1], followed[..., dim - 1], atol=1e-6)
+    assert np.abs(np.delete(followed, dim - 1, axis=2).mean(axis=1)).max() < 1e-6
     corners = seen.objects[2].vertices
     assert np.allclose(corners[:, dim - 1], level / float(chain.length[0]), atol=1e-6)
     flat = np.delete(corners, dim - 1, axis=1)

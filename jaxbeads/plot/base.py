@@ -37,12 +37,12 @@ def figure_for(axes: Axes | None, size: tuple[float, float]) -> tuple[Figure, Ax
 class View:
     """How positions become points of a picture.
 
-    - `co_moving`: subtract the mean position at each time.
+    - `co_moving`: subtract the mean position at each time; in a half space only what is along its plane.
     - `plane`: the two coordinates shown; by default (0, 1) of a planar scene, while a spatial one is
       seen in space.
     - `stretch`: factor on the second one, to see small deflections (the axes then say so).
-    - `domain`: that of the scene. Its plane is drawn if it is near and does not move; in a plane view if
-      it is seen from the side, in space if it is seen from the fluid.
+    - `domain`: that of the scene. Its plane is drawn if it is near; in a plane view if it is seen from
+      the side, in space if it is seen from the fluid.
     - `azimuth`, `elevation`: of the camera in space [degrees], about the direction that is up and above
       the horizon. By default it looks from 20 degrees above, 25 degrees off the direction at right
       angles to where the beads are spread most.
@@ -91,7 +91,19 @@ class View:
     def positions(self, solution: Solution, length: float) -> np.ndarray:
         """All coordinates in units of `length`, shape `(times, beads, dim)`."""
         position = np.asarray(solution.states.position) / length
-        return position - position.mean(axis=1, keepdims=True) if self.co_moving else position
+        if not self.co_moving:
+            return position
+        moved = position.mean(axis=1, keepdims=True)
+        if (normal := self._normal) is not None:
+            moved -= (moved @ normal)[..., None] * normal
+        return position - moved
+
+    @property
+    def _normal(self) -> np.ndarray | None:
+        """Of the domain's plane, if it has one."""
+        if not isinstance(self.domain, AbstractHalfSpace):
+            return None
+        return np.asarray(self.domain.direction, float)
 
     def points(self, solution: Solution, length: float) -> np.ndarray:
         """Points in units of `length`, shape `(times, beads, 2)`."""
@@ -102,18 +114,22 @@ class View:
 
     def label(self, ax: Axes) -> None:
         """Write what the axes are."""
-        first, second = ("xyz"[k] for k in self.shown_axes)
-        if self.co_moving:
-            first, second = f"({first} - {first}_c)", f"({second} - {second}_c)"
+        first, second = (self._moving(k) for k in self.shown_axes)
         factor = "" if self.stretch == 1 else rf"{self.stretch:g}\,"
         ax.set_xlabel(f"${first}/L$")
         ax.set_ylabel(f"${factor}{second}/L$")
 
+    def _moving(self, axis: int) -> str:
+        """Name of a coordinate, with that of the centre where it is subtracted."""
+        name = "xyz"[axis]
+        across = 0.0 if self._normal is None else abs(self._normal[axis])
+        return f"({name} - {name}_c)" if self.co_moving and across < 1 - 1e-6 else name
+
     def wall(self, points: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray] | None:
-        """A point of the domain's plane, in units of `length`, and its normal; `None` if it moves, or is
-        further from points than all of them are wide.
+        """A point of the domain's plane, in units of `length`, and its normal; `None` if it is further
+        from points than all of them are wide.
         """
-        if self.co_moving or not isinstance(self.domain, AbstractHalfSpace):
+        if not isinstance(self.domain, AbstractHalfSpace):
             return None
         point = np.asarray(self.domain.point, float) / length
         normal = np.asarray(self.domain.direction, float)
@@ -123,7 +139,7 @@ class View:
 
     def _boundary(self, length: float) -> tuple[np.ndarray, np.ndarray] | None:
         """A point of the domain's plane, in units of `length`, and its normal, as they are seen."""
-        if self.co_moving or not isinstance(self.domain, AbstractHalfSpace):
+        if not isinstance(self.domain, AbstractHalfSpace):
             return None
         point = np.asarray(self.domain.point)[self.shown_axes] / length
         normal = np.asarray(self.domain.direction)[self.shown_axes]

@@ -258,7 +258,7 @@ NEMATODE_WALL = ReadyMade(
         "positive [rad]",
         "height": "distance of its centre from the wall over L after ten periods",
     },
-    ("distance of the centre from the wall over $L$", _above),
+    ("distance from the wall $h/L$", _above),
     co_moving=False,
     quick="--beads 7 --height 0.6",
 )

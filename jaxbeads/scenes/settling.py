@@ -242,7 +242,7 @@ SETTLING_WALL = ReadyMade(
         "closest": "smallest gap between a bead's surface and the wall, over a",
         "tilt": "angle by which the fibre turns, its lower end away from the wall [rad]",
     },
-    ("distance of the centre from the wall over $L$", _from_wall),
-    co_moving=False,
+    ("distance from the wall $d/L$", _from_wall),
+    co_moving=True,
     quick="--beads 5 --height 1.5",
 )
