@@ -23,9 +23,10 @@ def known(value: Any) -> bool:
     )
 
 
-def fail(name: str, must: str, but: str) -> NoReturn:
-    """Raise the sentence of this project."""
-    raise ValueError(f"Argument `{name}` must {must}, but {but}.")
+def fail(name: str, must: str, but: str, recipe: str = "") -> NoReturn:
+    """Raise the sentence of this project, with the question of the recipe that says how it is done."""
+    where = f' (see "{recipe}" in the recipes)' if recipe else ""
+    raise ValueError(f"Argument `{name}` must {must}, but {but}{where}.")
 
 
 def described(value: Any) -> str:

@@ -20,6 +20,8 @@ from .solver import AB3, AdaptiveSteps, FixedSteps, explicit_step
 from .solver.stepping import Carry
 from .state import Load, State
 
+_RECIPE = "How do I find out why it stopped?"
+
 
 @dataclass(frozen=True)
 class Cause:
@@ -143,7 +145,8 @@ def explain(
     message = (
         f"The run broke down at step {step} (t = {t:.6g}): {what}. Term: {term}"
         f"{', ' + how if how else ''}.{_smallest_gap(scene, good)}{advice} The last good state is the "
-        "end of this error's `solution` (and of the file, if there is one)."
+        "end of this error's `solution` (and of the file, if there is one); see "
+        f'"{_RECIPE}" in the recipes.'
     )
     return Cause(step, t, bead, term, message)
 

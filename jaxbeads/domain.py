@@ -152,7 +152,8 @@ def _refuse_flow(
         if at > 1e-9 * above:
             place = ", ".join(f"{c:.3g}" for c in np.asarray(points[0]))
             must = f"be one that a {type(plane).__name__} lets be"
-            fail(f"scene.flow ({name})", must, f"it slips or pushes at ({place}), t = {t:.3g}")
+            how = f"it slips or pushes at ({place}), t = {t:.3g}"
+            fail(f"scene.flow ({name})", must, how, "How do I put it near a wall?")
 
 
 class NoSlipWall(AbstractHalfSpace):

@@ -302,7 +302,7 @@ def compare(path: str | Path, scene: Scene, stepper: Stepper) -> None:
     different = before.difference(now)
     if different is not None:
         must = "be the scene and solver with which the file was written"
-        fail("scene", must, different)
+        fail("scene", must, different, "How do I save, load and resume?")
 
 
 def _parts(contents: Contents) -> set[str]:

@@ -98,7 +98,7 @@ def _adaptive(scene: Scene, ts: Float[Array, " times"], solver: AbstractSolver) 
             must = (
                 f"lie between {least:.1g} (rounding) and 0.1, as a fraction of the fibre's length"
             )
-            fail("tolerance", must, f"it is {plain(tolerance)}")
+            fail("tolerance", must, f"it is {plain(tolerance)}", "How do I choose a tolerance?")
         tolerance = jnp.asarray(tolerance, ts.dtype)
         controller = controller_for(tolerance, scene.chain)
     projected = not solver.keeps_bonds if projected is None else projected

@@ -277,7 +277,8 @@ def check(
         gap, i, j = smallest_gap(np.asarray(position), radii, scene.domain)
         if gap < -0.01 * radii.min():
             must = "hold no overlapping beads in this scene"
-            fail("state", must, f"beads {i} and {j} overlap by {-gap:.3g}")
+            recipe = "How do I keep beads from passing through one another?"
+            fail("state", must, f"beads {i} and {j} overlap by {-gap:.3g}", recipe)
 
 
 def _check_own(scene: Scene, state: State) -> None:
@@ -299,7 +300,8 @@ def _check_inside(scene: Scene, position: Array) -> None:
     if np.any(height < 0):
         bead = int(np.argmin(height))
         must = f"hold beads within the domain {type(scene.domain).__name__}"
-        fail("state", must, f"the centre of bead {bead} lies {-height[bead]:.3g} outside")
+        how = f"the centre of bead {bead} lies {-height[bead]:.3g} outside"
+        fail("state", must, how, "How do I put it near a wall?")
 
 
 def _warn_of_loose_fibres(scene: Scene) -> None:

@@ -95,7 +95,8 @@ def simulate(
         if not np.all(np.isfinite(np.asarray(first.residual))):
             how = redundancy(float(times[0]), state, scene)
             if how is not None:
-                fail("scene.constraints", "be independent at the start", how)
+                must = "be independent at the start"
+                fail("scene.constraints", must, how, "How do I hold an end?")
         if not np.all(np.asarray(first.residual) <= RESIDUAL_TOLERANCE):
             cause = explain(scene, state, float(times[0]), 0, None)
             run.parts = [first]
@@ -162,7 +163,7 @@ def _refuse_traced(by: str, **arguments: Any) -> None:
     for path in Contents(**arguments).traced:
         must = f"hold numbers that are known, which `{by}` must see"
         how = f"`jax.grad`, `jit` or `vmap` traces `{path}`: use `rollout`, through which they go"
-        fail(re.split(r"[.\[]", path)[0], must, how)
+        fail(re.split(r"[.\[]", path)[0], must, how, "How do I differentiate a result?")
 
 
 def _warn_of_large_step(scene: Scene, stepper: Stepper, ts: Array) -> None:

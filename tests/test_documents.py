@@ -163,3 +163,15 @@ def test_code_of_the_readme_runs(tmp_path, monkeypatch):
     assert (tmp_path / "fibre.png").stat().st_size > 1000
     assert names["spans"][-1] == pytest.approx(float(names["value"]), rel=1e-12)
     assert names["slope"] > 0  # a stiffer fibre is straighter
+
+
+def test_errors_point_to_recipes_that_are_there():
+    asked = re.compile(r'"(How do I [^"]*\?)"')
+    named = {
+        question
+        for path in (ROOT / "jaxbeads").rglob("*.py")
+        for question in asked.findall(path.read_text())
+    }
+    recipes = (ROOT / "notebooks" / "recipes.py").read_text()
+    assert len(named) >= 6
+    assert all(f"# ### {' '.join(q.split())}\n" in recipes for q in named), named
