@@ -254,10 +254,11 @@ def draw(results: dict[str, list[Row]], file: str) -> None:
         panel.set_xlabel("error over $L$")
     axes[0, 0].set_ylabel("wall time [s]")
     axes[0, 0].legend(fontsize=6)
-    figure.savefig(file, dpi=130, format="png")
-    with Image.open(file) as whole:  # a few colours: a quarter of the size
-        few = whole.convert("RGB").quantize(64, Image.Quantize.FASTOCTREE, dither=0)
-    few.save(file, "png", optimize=True)
+    figure.savefig(file, dpi=130)
+    if file.endswith(".png"):
+        with Image.open(file) as whole:  # a few colours: a quarter of the size
+            few = whole.convert("RGB").quantize(64, Image.Quantize.FASTOCTREE, dither=0)
+        few.save(file, optimize=True)
 
 
 def tables(figures: dict[str, Any]) -> dict[str, list[str]]:

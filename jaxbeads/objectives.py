@@ -185,9 +185,9 @@ def _pumped(along: Array, t: Array, state: State, scene: Scene) -> Array:
 
 def pumping_efficiency(solution: Solution, scene: Scene, along: Any) -> Float[Array, ""]:
     """mu Q^2/(n L^3 P) of n cilia at a no-slip wall, with their mean pumping rate Q along a direction,
-    their mean power P and the length L of each. That of a given sequence of shapes depends neither on
-    the viscosity nor on the frequency, and that of cilia far from one another not on their number
-    (after Osterman & Vilfan, PNAS 108 (2011) 15727).
+    their mean power P and the length L of each (n L^3 is the sum of L^3). That of a given sequence of
+    shapes depends neither on the viscosity nor on the frequency, and that of cilia far from one another
+    not on their number (after Osterman & Vilfan, PNAS 108 (2011) 15727).
 
     **Raises** `ValueError` for fibres of unequal numbers of beads.
 

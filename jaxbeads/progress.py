@@ -9,14 +9,13 @@ from typing import Any
 _LOOK = 0.5
 """Seconds between two looks at a run, about."""
 _MOST = 2**30
-_COMPILING = 4.0
-"""Seconds in which a run's program is traced, lowered and compiled, over those of the first two: 3.4 in
-the plane, 4.2 in space (`benchmarks/startup.py`). JAX tells of each part when it ends, and the last is
-the long one."""
 
 
 class Bar:
     """A progress bar of the simulated time, which also ticks while a program is compiled.
+
+    The program of the steps is compiled last, and JAX tells how long only when it ends. It takes about
+    as long as what the run has compiled before it (AB3's a third of that), so that is what is expected.
 
     **Arguments**: first and last time; the time at which the run begins; whether anything is shown;
     what tells the seconds of compiling that have ended.
@@ -56,8 +55,8 @@ class Bar:
 
     def _tick(self) -> None:
         while not self.over.wait(1.0):
-            if not self.begun and self.compiled() > 0:
-                expected = max(1.0, _COMPILING * self.compiled())
+            expected = self.compiled()
+            if not self.begun and expected > 0.5:
                 self.bar.set_description_str(f"compiling, about {expected:.0f} s", refresh=False)
             self.bar.refresh()
 

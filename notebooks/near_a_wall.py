@@ -72,7 +72,7 @@ for (name, (away, angle, x, _, _)), colour in zip(
     falls.items(), ("#440154", "#31688e", "#35b779"), strict=True
 ):
     axes[0].plot(np.degrees(angle), away, color=colour, label=name)
-    for k in range(0, 401, 50):
+    for k in range(0, len(x), 50):
         axes[1].plot(x[k, :, 0] / length, x[k, :, 1] / length, color=colour, linewidth=1.5)
 axes[0].set(
     xlabel="tilt, lower end away from the wall (degrees)", ylabel="distance from the wall$/L$"
@@ -89,8 +89,9 @@ plt.show()
 # (Berke, Turner, Berg & Lauga, Phys. Rev. Lett. 101 (2008) 038102). At a height $h$, with $y$ normal to
 # the wall, the image gives
 # $$ u_y = \frac{9 S_{yy}}{64 \pi \mu h^2}, \qquad u_x = \frac{3 S_{xy}}{32 \pi \mu h^2} . $$
-# So a swimmer that pushes, $S = p\, (e e - I/3)$ with $p > 0$, comes nearer if it swims along the wall. $S$
-# is found without a wall: the symmetric part without trace of the first moments of the forces on the fluid.
+# So a swimmer that pushes, $S = p\, (e e - I/3)$ with $p > 0$, comes nearer if it swims along the wall.
+# $S$ is found without a wall: it is the mean first moment of the forces on the fluid, its symmetric part
+# without trace.
 # A period of the beat is followed with and without wall from the same shapes, at a slant of 0.4 rad;
 # the difference times $h^2$, extrapolated from $h = 20 L$ and $40 L$, must be the law's.
 
@@ -122,6 +123,8 @@ for far in (20.0, 40.0):
     scaled.append((far * size) ** 2 * (displacement(walled, far * size)[0] - alone))
     print(f"h = {far:.0f} L: h^2 times what the wall adds in a period {scaled[-1]}, law {law}")
 limit = 2 * scaled[1] - scaled[0]
+own = turn.T @ stresslet @ turn  # of the worm that swims along x
+print(f"along the wall: u_y = {9 * own[1, 1] / (64 * np.pi):.4f}/h^2")
 for k, name in enumerate("xy"):
     checks.append((f"worm far from the wall: {name} of the law", limit[k] / law[k], 1.0, 1e-2))
 
@@ -153,8 +156,8 @@ for heading, axis in zip((0.0, 0.3), axes, strict=True):
 plt.show()
 
 # %% [markdown]
-# From afar the image draws the worm to the wall; within half a length of it that no longer decides: the
-# worm is faster along the wall, and turns away from it.
+# The nearer the wall, the faster the worm swims along it. From afar its image draws it to the wall (the
+# negative $u_y$ above); at all of these heights it turns away.
 
 # %% [markdown]
 # ## Check
@@ -166,6 +169,7 @@ for name, measured, reference, allowed in checks:
     print(f"{name:42s} {float(measured):12.6g} {float(reference):10.6g} {off:9.1e} {allowed:9.0e}")
 for name, measured, reference, allowed in checks:
     assert abs(float(measured) - float(reference)) <= allowed, name
+assert own[1, 1] < 0
 assert falls["B = 20"][3] < falls["rigid"][3]  # what bends comes closer
 assert falls["B = 100"][3] < 0.02 and np.isnan(falls["B = 100"][4])  # and stays
 speeds = [swims[0.0, height][0][0] for height in (0.35, 0.5, 0.8)]

@@ -7,9 +7,11 @@ import sys
 from itertools import pairwise
 from pathlib import Path
 
+import jax.numpy as jnp
 import jupytext
 import pytest
 
+import jaxbeads
 from jaxbeads.scenes import SCENES
 
 ROOT = Path(__file__).parents[1]
@@ -172,6 +174,13 @@ def test_errors_point_to_recipes_that_are_there():
         for path in (ROOT / "jaxbeads").rglob("*.py")
         for question in asked.findall(path.read_text())
     }
-    recipes = (ROOT / "notebooks" / "recipes.py").read_text()
-    assert len(named) >= 6
-    assert all(f"# ### {' '.join(q.split())}\n" in recipes for q in named), named
+    recipes = {p.strip("# ") for p in RECIPE.findall(prose(ROOT / "notebooks" / "recipes.py"))}
+    assert len(named) >= 6 and {" ".join(q.split()) for q in named} <= recipes
+    fall = jaxbeads.Scene(jaxbeads.Chain(1.0, 1), 1.0, forces=[jaxbeads.force.Weight([0.0, -1.0])])
+    start = jaxbeads.State([[0.0, 0.0]])
+    with pytest.raises(ValueError, match=r'see "How do I choose a tolerance\?" in the recipes'):
+        jaxbeads.rollout(fall, start, [0.0, 1.0], tolerance=1.0)
+    push = jaxbeads.force.ForceField(lambda t, r: jnp.log(0.5 - t) * jnp.ones_like(r))
+    broken = jaxbeads.Scene(jaxbeads.Chain(1.0, 1), 1.0, forces=[push])
+    with pytest.raises(jaxbeads.SimulationError, match=r'see "How do I find out why it stopped\?"'):
+        jaxbeads.simulate(broken, start, [0.0, 1.0, 2.0], substeps=1, progress=False)

@@ -108,9 +108,8 @@ def test_a_wall_is_drawn_where_it_is_seen():
     _, (stretched,) = drawn(domain=wall, stretch=20.0)
     assert abs(stretched.get_xy()[:, 1].max() - 20 * y.max()) < 1e-9
     assert not drawn()[1]
-    along, (beside,) = drawn(
-        domain=wall, co_moving=True
-    )  # it follows the fibre along the wall alone
+    # It follows the fibre along the wall alone.
+    along, (beside,) = drawn(domain=wall, co_moving=True)
     assert abs(beside.get_xy()[:, 1].max() - y.max()) < 1e-12
     assert (along.get_xlabel(), along.get_ylabel()) == ("$(x - x_c)/L$", "$y/L$")
     far, (_,) = drawn(domain=NoSlipWall([0.0, -1000.0], [0.0, 1.0]))

@@ -221,11 +221,7 @@ def force_of_a_rod(height, direction):
     """On rods of 60 and 120 beads along x that move without turning; per length, of the 60 more."""
     total = []
     for beads in (60, 120):
-        x = (
-            jnp.stack([2.0 * jnp.arange(beads), *jnp.zeros((2, beads))], axis=1)
-            .at[:, 2]
-            .set(height)
-        )
+        x = jnp.stack([2.0 * jnp.arange(beads), jnp.zeros(beads), jnp.full(beads, height)], axis=1)
         configuration = Configuration(x, jnp.asarray(1.0), jnp.asarray(1.0), True, FLOOR)
 
         def moved(load, configuration=configuration):
