@@ -52,6 +52,7 @@ from .simulate import resume as resume
 from .simulate import simulate as simulate
 from .solution import Solution as Solution
 from .solver import AB3 as AB3
+from .solver import ESDIRK as ESDIRK
 from .solver import Diffrax as Diffrax
 from .solver import Rosenbrock as Rosenbrock
 from .state import Load as Load

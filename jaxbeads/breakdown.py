@@ -154,7 +154,7 @@ def explain(
 def step_advice(scene: Scene, step: float, stepper: FixedSteps) -> str:
     """What the time step has to do with it."""
     limit = float(explicit_step(scene))
-    if not np.isfinite(limit) or stepper.solver.needs_matrix:
+    if not np.isfinite(limit) or stepper.solver.implicit:
         return f" The time step was {step:.3g}; try more `substeps`, or `tolerance` instead."
     return (
         f" The time step was {step:.3g}, {step / limit:.3g} times `solver.explicit_step`, eq. (39) for "
@@ -176,7 +176,7 @@ def _given_up(stepper: AdaptiveSteps, scene: Scene, after: Carry, t0: float, t1:
         )
         advice = " Loosen `tolerance`, raise `max_steps` or save more often."
         default = default_solver(scene)
-        if default.needs_matrix and not stepper.solver.needs_matrix:
+        if default.implicit and not stepper.solver.implicit:
             advice += (
                 f" The scene is stiff: `{default.name}()`, its default solver, takes longer steps."
             )

@@ -12,6 +12,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
@@ -43,6 +44,10 @@ class AbstractPart(abc.ABC):
         """How many numbers a change of it takes."""
         return ravel_pytree(value)[0].size
 
+    def fibres(self, value: Any, chain: Chain) -> np.ndarray:
+        """Of each of these numbers the fibre that it belongs to; -1: none."""
+        return np.full(self.size(value), -1)
+
     def retract(self, value: Any, numbers: Float[Array, " numbers"]) -> Any:
         """What is near the value by so much: their sum, and the value itself at 0."""
         flat, whole = ravel_pytree(value)
@@ -62,6 +67,10 @@ class AbstractPart(abc.ABC):
 class _Directors(AbstractPart):
     name, words = "director", "the orientations"
 
+    def fibres(self, value: Any, chain: Chain) -> np.ndarray:
+        """That of the bead."""
+        return chain.fibre_of_bead.repeat(value.shape[1])
+
     def rate(self, value: Any, state: State, motion: Motion, chain: Chain) -> Array:
         """w x p."""
         if motion.spin is None:
@@ -77,6 +86,10 @@ class _Directors(AbstractPart):
 
 class _Normals(AbstractPart):
     name, words = "normal", "the normals"
+
+    def fibres(self, value: Any, chain: Chain) -> np.ndarray:
+        """A normal of each."""
+        return np.arange(len(chain.fibres)).repeat(value.shape[1])
 
     def rate(self, value: Any, state: State, motion: Motion, chain: Chain) -> Array:
         """Without spin about the fibre, see `frames`."""

@@ -36,6 +36,26 @@ class AbstractCoordinates(eqx.Module):
     def sizes(self) -> tuple[int, int, int]:
         """How many numbers are points, turns of directions, and carried."""
 
+    @property
+    def fibres(self) -> np.ndarray:
+        """Of each number the fibre that it belongs to; -1: none. Shape `(numbers,)`."""
+        dim = self.start.position.shape[1]
+        kept = carried.parts(self.start, self.besides)
+        others = [part.fibres(getattr(self.start, part.name), self.chain) for part in kept]
+        return np.concatenate(
+            [self._of_points.repeat(dim), self._of_directions.repeat(dim - 1), *others]
+        )
+
+    @property
+    @abc.abstractmethod
+    def _of_points(self) -> np.ndarray:
+        """The fibre of each point."""
+
+    @property
+    def _of_directions(self) -> np.ndarray:
+        """The fibre of each direction; -1: none."""
+        return np.zeros(0, int)
+
     @abc.abstractmethod
     def state(self, x: Float[Array, " numbers"]) -> State:
         """The state at x."""
@@ -112,6 +132,10 @@ class BeadCoordinates(AbstractCoordinates):
         """All positions, no turns."""
         return self.start.position.size, 0, sum(self._carried_sizes)
 
+    @property
+    def _of_points(self) -> np.ndarray:
+        return self.chain.fibre_of_bead
+
     def state(self, x: Float[Array, " numbers"]) -> State:
         """The state at x."""
         points, _, others = self._split(x)
@@ -158,6 +182,16 @@ class ChainCoordinates(AbstractCoordinates):
         """A point of each fibre, the turns of all directions."""
         rows, dim = self.direction.shape
         return len(self.chain.fibres) * dim, rows * (dim - 1), sum(self._carried_sizes)
+
+    @property
+    def _of_points(self) -> np.ndarray:
+        return np.arange(len(self.chain.fibres))
+
+    @property
+    def _of_directions(self) -> np.ndarray:
+        fibre = self.chain.fibre_of_bead
+        bonds = len(self.direction) < len(fibre)
+        return np.where(self.chain.bond_mask, fibre[:-1], -1) if bonds else fibre
 
     def state(self, x: Float[Array, " numbers"]) -> State:
         """The state at x."""

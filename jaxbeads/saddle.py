@@ -18,7 +18,7 @@ from .mobility import Product
 from .pairs import PairTensor
 from .scene import Scene
 from .state import Load, Motion, State, add_motions, zero_motion
-from .windows import Banded, Windows
+from .windows import Banded, Blocks, parts
 
 Time = Float[Array, ""] | float
 
@@ -140,7 +140,7 @@ class Iterations(eqx.Module):
     constraint banded, all other rows eliminated against it.
     """
 
-    chain: Banded | None
+    chain: Banded | Blocks | None
     coupling: Float[Array, "others chained"]
     response: Float[Array, "chained others"]
     factor: Float[Array, "others others"]
@@ -174,8 +174,9 @@ def _factorised(t: Time, state: State, scene: Scene, operator: Product) -> Facto
     return Factorised(factor, regular & positive)
 
 
-def _iterations(t: Time, state: State, scene: Scene) -> Iterations:
-    windows = Windows(state, scene.operator(state), scene.chain)
+def iterations(t: Time, state: State, scene: Scene) -> Iterations:
+    """S' of one instant."""
+    windows = parts(state, scene.operator(state), scene.chain)
     j = constraint_map(t, state, scene)
     still, rows = zero_motion(state, scene.rotational), len(j.offset)
     constraint, first = _chained(t, state, scene) if scene.chain.beads > 1 else (None, 0)
@@ -237,5 +238,5 @@ def saddle_point(t: Time, state: State, scene: Scene, operator: Product) -> Sadd
     """The system of multipliers at one instant, S factorised or ready to be iterated."""
     held = lax.stop_gradient(operator)
     instant = lax.stop_gradient((t, state, scene))
-    solver = _factorised(*instant, held) if scene.dense else _iterations(*instant)
+    solver = _factorised(*instant, held) if scene.dense else iterations(*instant)
     return SaddlePoint(operator, constraint_map(t, state, scene), solver)

@@ -9,12 +9,16 @@ longer than a window. It grows like the logarithm of their length, and iteration
 one fibre of 10 000 beads takes 15 to a relative residual of 1e-12 (`benchmarks/scaling.py`). Without
 them a scene of more than 1000 beads would need the whole of S, or hundreds of products with M.
 
+Fibres of up to `MOST_WHOLE` beads are not cut: M' is all that happens within each of them (`Fibres`),
+which leaves the far field of other fibres alone.
+
 A direct factorisation of S by clusters (its far blocks are of low rank) would make all this
 unnecessary.
 """
 
+import abc
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -31,6 +35,8 @@ from .state import Load, Motion, State
 
 HALF = 32
 """Bonds in half a window."""
+MOST_WHOLE = 150
+"""Beads of the longest fibre up to which fibres are windows of their own."""
 _STEPS = np.arange(2 * HALF + 1)
 _WEIGHTS = np.where(_STEPS < 2 * HALF, np.sin(np.pi * _STEPS / (2 * HALF)), 0.0)
 
@@ -71,12 +77,95 @@ class Banded(eqx.Module):
         return jnp.swapaxes(padded.reshape(-1, groups, HALF), 0, 1).reshape(groups, size)
 
 
-class Windows(NamedTuple):
-    """M' of one configuration."""
+class Blocks(eqx.Module):
+    """S' fibre by fibre: L^-1 of each S' = L L^T."""
+
+    inverse: Float[Array, "fibres size size"]
+    fibres: tuple[int, ...] = eqx.field(static=True)
+
+    def solve(self, rhs: Float[Array, " rows"]) -> Float[Array, " rows"]:
+        """S'^-1 rhs; rows between fibres stay as they are."""
+        bonds = _padded(self.fibres, 1)
+        rows = rhs.reshape(-1, sum(self.fibres) - 1)
+        parts = rows.at[:, bonds].get(mode="fill", fill_value=0.0)
+        parts = jnp.swapaxes(parts, 0, 1).reshape(len(bonds), -1)
+        half = jnp.einsum("fij,fj->fi", self.inverse, parts)
+        found = jnp.einsum("fji,fj->fi", self.inverse, half)
+        found = jnp.swapaxes(found.reshape(len(bonds), -1, bonds.shape[1]), 0, 1)
+        return rows.at[:, bonds].set(found, mode="drop").ravel()
+
+
+def _padded(fibres: tuple[int, ...], less: int = 0) -> np.ndarray:
+    """Numbers of the beads of each fibre (but for so many at its end), a row for each, filled up with a
+    number that is too large.
+    """
+    steps, first = np.arange(max(fibres) - less), np.cumsum((0, *fibres))[:-1, None]
+    return np.where(steps < np.array(fibres)[:, None] - less, first + steps, sum(fibres))
+
+
+class AbstractParts(eqx.Module):
+    """M' of one configuration: beads in parts, with weights."""
 
     state: State
     operator: Operator
     chain: Chain
+
+    @abc.abstractmethod
+    def each(self, function: Callable[[Array, Array], Any]) -> Any:
+        """function(beads, weights) of each part, one after the other."""
+
+    def motion(self, load: Load, still: Motion) -> Motion:
+        """M' F."""
+
+        def one(beads: Array, weights: Array) -> tuple[Array, Motion]:
+            w = weights[:, None]
+            part = jax.tree.map(lambda x: w * x[beads], load)
+            return beads, jax.tree.map(lambda v: w * v, self.operator.some(beads).motion(part))
+
+        beads, moved = self.each(one)
+        return jax.tree.map(lambda v, part: v.at[beads].add(part), still, moved)
+
+    def matrix(
+        self, t: Array, constraint: AbstractChainConstraint, beads: Array, weights: Array
+    ) -> Array:
+        """S' of a chain constraint in one part."""
+        tensor = jax.tree.map(
+            lambda f: f * (weights[:, None] * weights[None, :]), self.operator.some(beads)
+        )
+        radius = self.chain.radius if self.chain.radius.ndim == 0 else self.chain.radius[beads]
+        part = Chain(radius, len(beads), self.chain.gap)
+        here = jax.tree.map(lambda x: x[beads], self.state)
+        return symmetric(constraint.assemble(t, here, tensor, part))
+
+
+class Fibres(AbstractParts):
+    """M' within each fibre."""
+
+    def each(self, function: Callable[[Array, Array], Any]) -> Any:
+        """function(beads, weights) of each fibre, one after the other."""
+        beads = _padded(self.chain.fibres)
+        there = beads < self.chain.beads
+        weights = jnp.asarray(there, self.state.position.dtype)
+        last = beads.max(axis=1, where=there, initial=0)
+        beads = jnp.asarray(np.where(there, beads, last[:, None]))
+        return lax.map(lambda part: function(*part), (beads, weights))
+
+    def factor(self, t: Array, constraint: AbstractChainConstraint) -> Blocks:
+        """S' of a chain constraint, factorised."""
+
+        def inverse(beads: Array, weights: Array) -> Array:
+            whole = self.matrix(t, constraint, beads, weights)
+            bonds = weights[1:] > 0
+            there = jnp.tile(bonds, len(whole) // len(bonds))
+            whole = jnp.where(there[:, None] & there[None, :], whole, 0.0) + jnp.diag(~there * 1.0)
+            factor, positive = cholesky(whole)
+            return inverse_of_triangle(jnp.where(positive, factor, jnp.nan))
+
+        return Blocks(self.each(inverse), self.chain.fibres)
+
+
+class Windows(AbstractParts):
+    """M' of windows along the chain."""
 
     @property
     def number(self) -> int:
@@ -94,30 +183,13 @@ class Windows(NamedTuple):
 
         return lax.map(turn, jnp.arange(self.number))
 
-    def motion(self, load: Load, still: Motion) -> Motion:
-        """M' F."""
-
-        def one(beads: Array, weights: Array) -> tuple[Array, Motion]:
-            w = weights[:, None]
-            part = jax.tree.map(lambda x: w * x[beads], load)
-            return beads, jax.tree.map(lambda v: w * v, self.operator.some(beads).motion(part))
-
-        beads, moved = self.each(one)
-        return jax.tree.map(lambda v, part: v.at[beads].add(part), still, moved)
-
     def factor(self, t: Array, constraint: AbstractChainConstraint) -> Banded:
         """S' of a chain constraint, factorised."""
-        state, chain = self.state, self.chain
+        chain = self.chain
         bonds, groups = chain.beads - 1, self.number - 1
 
         def block(beads: Array, weights: Array) -> Array:
-            tensor = jax.tree.map(
-                lambda f: f * (weights[:, None] * weights[None, :]), self.operator.some(beads)
-            )
-            radius = chain.radius if chain.radius.ndim == 0 else chain.radius[beads]
-            part = Chain(radius, len(beads), chain.gap)
-            here = jax.tree.map(lambda x: x[beads], state)
-            whole = symmetric(constraint.assemble(t, here, tensor, part))
+            whole = self.matrix(t, constraint, beads, weights)
             # (component, first or second half, bond) twice
             cut = whole.reshape(-1, 2, HALF, len(whole) // (2 * HALF), 2, HALF)
             return cut.transpose(1, 4, 0, 2, 3, 5).reshape(2, 2, len(whole) // 2, -1)
@@ -141,3 +213,9 @@ class Windows(NamedTuple):
 
         first = jnp.eye(mask.shape[1], dtype=diagonal.dtype)
         return Banded(*lax.scan(step, first, (diagonal, below))[1], bonds)
+
+
+def parts(state: State, operator: Operator, chain: Chain) -> Fibres | Windows:
+    """M' of a configuration: fibre by fibre, or by windows where a fibre is longer than `MOST_WHOLE`."""
+    kind = Fibres if 1 < max(chain.fibres) <= MOST_WHOLE else Windows
+    return kind(state, operator, chain)

@@ -17,7 +17,8 @@ ORDER = [
     {"_compat"},
     {"_typing", "_checks", "loops", "programs", "outcome"},
     {"_functions", "domain"},
-    {"factors", "iterations", "units", "optimum"},
+    {"factors", "units", "optimum"},
+    {"iterations"},
     {"storage"},
     {"vary", "optimise", "chunks", "cache", "contents"},
     {"state", "geometry"},
@@ -37,7 +38,7 @@ ORDER = [
     {"instant"},
     {"dynamics"},
     {"loads"},
-    {"linearise", "observables", "faults"},
+    {"linearise", "stages", "observables", "faults"},
     {"solver", "steady"},
     {"solution"},
     {"rollout"},
@@ -49,7 +50,7 @@ ORDER = [
 ]
 # What the files of a sub-package may import from one another.
 SHARED = {
-    "solver": {"base", "watch"},
+    "solver": {"base", "watch", "tolerance"},
     "force": {"base", "curvature"},
     "scenes": {"case", "models"},
     "plot": {"base", "space"},

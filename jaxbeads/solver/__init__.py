@@ -8,6 +8,7 @@ own, a line here and a line in `tests/cases.py`.
 
 from .ab3 import AB3 as AB3
 from .base import AbstractSolver as AbstractSolver
+from .esdirk import ESDIRK as ESDIRK
 from .explicit import explicit_step as explicit_step
 from .explicit import substeps_for as substeps_for
 from .rosenbrock import Rosenbrock as Rosenbrock

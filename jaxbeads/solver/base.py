@@ -5,10 +5,30 @@ from typing import Any, ClassVar
 
 import diffrax
 import equinox as eqx
+import jax
 from jaxtyping import Array, Float
 
 from .._checks import fail, kind, known, positive, shape, whole
 from .._typing import optional_float_array
+from ..coordinates import AbstractCoordinates
+
+
+class CubicPath(diffrax.AbstractLocalInterpolation):
+    """States between the ends of a step: a cubic in the coordinates."""
+
+    t0: Any
+    t1: Any
+    coordinates: AbstractCoordinates
+    x1: Array
+    bend: Array
+
+    def evaluate(self, t0: Any, t1: Any = None, left: bool = True) -> Any:
+        """State at t0, or its change from t0 to t1."""
+        if t1 is not None:
+            return jax.tree.map(lambda a, b: b - a, self.evaluate(t0), self.evaluate(t1))
+        s = (t0 - self.t0) / (self.t1 - self.t0)
+        first, second = self.bend
+        return self.coordinates.state(s * (self.x1 + (1 - s) * (first + s * second)))
 
 
 class AbstractSolver(eqx.Module):
@@ -39,8 +59,9 @@ class AbstractSolver(eqx.Module):
     keeps_bonds: ClassVar[bool] = False
     """Whether bonds keep their lengths by themselves."""
     needs_matrix: ClassVar[bool] = False
-    """Whether it needs the linearisation as a matrix, and so a dense mobility. Then no rate of the scene
-    bounds its steps."""
+    """Whether it needs the linearisation as a matrix, and so a dense mobility."""
+    implicit: ClassVar[bool] = False
+    """Whether no rate of the scene bounds its steps; then they need derivatives of its terms."""
     stable_to: ClassVar[float | None] = None
     """Its longest stable step over `explicit_step`, if it is known."""
     hopeless: ClassVar[Any] = None
@@ -93,7 +114,7 @@ class AbstractSolver(eqx.Module):
     @property
     def needs_derivatives(self) -> bool:
         """Whether a step needs derivatives of the scene's terms."""
-        return self.needs_matrix
+        return self.implicit
 
     def tuned(self, controller: diffrax.AbstractStepSizeController) -> "AbstractSolver":
         """The same, with what its scheme takes from the controller."""

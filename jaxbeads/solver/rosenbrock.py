@@ -19,7 +19,7 @@ from ..linearise import coordinate_derivative, coordinate_rate, linearise
 from ..loops import keep
 from ..scene import Scene
 from ..state import State
-from .base import AbstractSolver
+from .base import AbstractSolver, CubicPath
 
 # RODAS, written for the vectors u that spare products with the Jacobian W:
 # (I - h GAMMA W) u_i = GAMMA [h f(t + ALPHA_i h, y + sum A_ij u_j) + sum C_ij u_j + h^2 DRIFT_i f_t],
@@ -78,24 +78,6 @@ _SINGULAR: Any = diffrax.RESULTS.singular
 """The result where the linearisation at the start of a step is not finite: none smaller mends it."""
 
 
-class _Interpolation(diffrax.AbstractLocalInterpolation):
-    """States between the ends of a step: a cubic in the coordinates."""
-
-    t0: Any
-    t1: Any
-    coordinates: AbstractCoordinates
-    x1: Array
-    bend: Array
-
-    def evaluate(self, t0: Any, t1: Any = None, left: bool = True) -> Any:
-        """State at t0, or its change from t0 to t1."""
-        if t1 is not None:
-            return jax.tree.map(lambda a, b: b - a, self.evaluate(t0), self.evaluate(t1))
-        s = (t0 - self.t0) / (self.t1 - self.t0)
-        first, second = self.bend
-        return self.coordinates.state(s * (self.x1 + (1 - s) * (first + s * second)))
-
-
 class Rodas(diffrax.AbstractAdaptiveSolver):
     """Linearly implicit steps of order 4 with an error estimate of order 3, stiffly accurate and
     L-stable: the method RODAS of Hairer & Wanner, Solving Ordinary Differential Equations II, ch. VI.4.
@@ -107,7 +89,7 @@ class Rodas(diffrax.AbstractAdaptiveSolver):
     """
 
     term_structure: ClassVar = diffrax.AbstractTerm
-    interpolation_cls: ClassVar[Callable[..., Any]] = _Interpolation
+    interpolation_cls: ClassVar[Callable[..., Any]] = CubicPath
 
     def order(self, terms: PyTree) -> int:
         """4."""
@@ -164,6 +146,7 @@ class Rosenbrock(AbstractSolver):
 
     keeps_bonds: ClassVar[bool] = True
     needs_matrix: ClassVar[bool] = True
+    implicit: ClassVar[bool] = True
     hopeless: ClassVar[Any] = _SINGULAR
 
     @property

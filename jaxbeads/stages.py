@@ -1,0 +1,321 @@
+"""Implicit stages of scenes of any size: rate and multipliers found together by iterations.
+
+A stage asks for the rate k of the coordinates and the multipliers lambda with
+
+    k = f(t, b + g k, lambda),   J V(t, b + g k, lambda) + B = 0,
+
+where V = M (F + J^T lambda) + V_inf + C:E and f is its rate in the coordinates. One product with M at
+the point reached so far shows how far both equations are off. The answer to that (`Near`) is exact for
+fibres that do not feel one another, with M' of `windows` in place of M, and takes the derivatives of
+the loads, which are all that is stiff: those of M, of J and of the flow made no difference to the number
+of iterations. What is left shrinks by a factor of 5 to 10 each time, and `iterations.accelerated` bends
+the way: a stage takes 5 to 8 products, those for the multipliers included, for any number of fibres.
+Nothing is linearised as a whole, and nothing is iterated within an iteration. Derivatives are those of
+the two equations at the solution.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from ._typing import with_all_digits
+from .coordinates import AbstractCoordinates
+from .factors import lu, triangular_solve
+from .instant import ambient_motion, applied_load, moving
+from .iterations import accelerated
+from .saddle import Iterations, constraint_map, iterations
+from .scene import Scene
+from .state import Load, Motion, add_loads, add_motions, zero_motion
+from .windows import AbstractParts, parts
+
+_COLUMNS = 64
+"""Derivatives that are found side by side."""
+_SMALL = 1e-2
+"""Weight of the multipliers, over the largest of them, beside displacements over their units."""
+
+
+class Unknowns(NamedTuple):
+    """Of one stage."""
+
+    rate: Float[Array, " numbers"]
+    """k [coordinates/time]."""
+    multipliers: Float[Array, " rows"]
+
+
+class Stage(NamedTuple):
+    """Where a stage is taken."""
+
+    t: Float[Array, ""]
+    base: Float[Array, " numbers"]
+    """b."""
+    ahead: Float[Array, ""]
+    """g [time]; 0 in an explicit stage, which asks for the multipliers alone."""
+
+
+class Found(NamedTuple):
+    """What iterations found."""
+
+    unknowns: Unknowns
+    fine: Bool[Array, ""]
+    """Whether they converged."""
+    products: Int[Array, ""]
+
+
+def _load(t: Array, x: Array, multipliers: Array, chart: AbstractCoordinates, scene: Scene) -> Load:
+    """F + J^T lambda."""
+    state = chart.state(x)
+    load = applied_load(t, state, scene)
+    if not scene.constraints:
+        return load
+    return add_loads(load, constraint_map(t, state, scene).pull(multipliers))
+
+
+def residual(stage: Stage, at: Unknowns, chart: AbstractCoordinates, scene: Scene) -> Unknowns:
+    """k - f and J V + B; one product with M."""
+    t, x = stage.t, stage.base + stage.ahead * at.rate
+    state = chart.state(x)
+    load, ambient = _load(t, x, at.multipliers, chart, scene), ambient_motion(t, state, scene)
+    if load.force is None and load.torque is None:
+        motion = zero_motion(state, scene.rotational)
+    else:
+        motion = scene.operator(state).motion(load)
+    if ambient is not None:
+        motion = add_motions(motion, ambient)
+    rate = chart.rate(x, state, moving(state, motion, scene.chain, scene.own_rate(t, state)))
+    slip = at.multipliers
+    if scene.constraints:
+        slip = constraint_map(t, state, scene).slip(motion)
+    return Unknowns(at.rate - rate, slip)
+
+
+class Near(eqx.Module):
+    """What is solved instead of a stage: M' of one instant, S' = J M' J^T and D = 1 - g W', with
+
+        W' = T (1 - M' J^T S'^-1 J) M' dF/dx
+
+    fibre by fibre, where T takes motions to rates of coordinates.
+    """
+
+    t: Float[Array, ""]
+    chart: AbstractCoordinates
+    scene: Scene
+    parts: AbstractParts
+    system: Iterations | None
+    inverse: Float[Array, "fibres size size"] | None
+    """D^-1, in units of the coordinates."""
+
+    def answer(self, off: Unknowns, implicit: Array) -> Unknowns:
+        """Change of the unknowns that takes away what the equations are off."""
+        rate, pushed = off.rate, off.multipliers
+        if self.system is not None:
+            pushed = -self.system.precondition(off.multipliers)
+            rate = rate - self._pulled(pushed)
+        return Unknowns(-self._held(rate, implicit, False), pushed)
+
+    def transposed(self, of: Unknowns, implicit: Array) -> Unknowns:
+        """The transpose of `answer`."""
+        rate, slip = self._held(of.rate, implicit, True), of.multipliers
+        if self.system is not None:
+            slip = -self.system.precondition(slip + self._transposed_pull(rate))
+        return Unknowns(-rate, slip)
+
+    def _held(self, rate: Array, implicit: Array, transposed: bool) -> Array:
+        """D^-1, or its transpose, in an implicit stage; otherwise 1."""
+        if self.inverse is None:
+            return rate
+        numbers, units = _numbers(self.chart), self.chart.units
+        scale = 1 / units if transposed else units
+        part = (rate / scale).at[numbers].get(mode="fill", fill_value=0.0)
+        which = "fji,fj->fi" if transposed else "fij,fj->fi"
+        part = jnp.einsum(which, self.inverse, part)
+        held = (rate / scale).at[numbers].set(part, mode="drop") * scale
+        return jnp.where(implicit, held, rate)
+
+    def _rate(self, motion: Motion) -> Array:
+        """T."""
+        chart, state = self.chart, self.chart.start
+        return chart.rate(chart.origin, state, moving(state, motion, self.scene.chain))
+
+    @property
+    def _still(self) -> Motion:
+        return zero_motion(self.chart.start, self.scene.rotational)
+
+    def _pulled(self, multipliers: Array) -> Array:
+        """T M' J^T lambda."""
+        j = constraint_map(self.t, self.chart.start, self.scene)
+        return self._rate(self.parts.motion(j.pull(multipliers), self._still))
+
+    def _transposed_pull(self, rate: Array) -> Array:
+        """J M' T^T k."""
+        j = constraint_map(self.t, self.chart.start, self.scene)
+        (motion,) = jax.vjp(self._rate, self._still)[1](rate)
+        return j.linear(self.parts.motion(Load(motion.velocity, motion.spin), self._still))
+
+    def columns(self, multipliers: Array) -> Float[Array, "fibres size size"] | None:
+        """W' fibre by fibre, in units of the coordinates: derivatives by the first number of each fibre
+        at once, by the second of each, and so on.
+        """
+        chart, scene, numbers = self.chart, self.scene, _numbers(self.chart)
+        j = constraint_map(self.t, chart.start, scene)
+        of_load = eqx.Partial(_load, self.t, multipliers=multipliers, chart=chart, scene=scene)
+        load, push = jax.linearize(of_load, chart.origin)
+        if load.force is None and load.torque is None:
+            return None
+
+        def column(number: Array) -> Array:
+            shift = chart.origin.at[number].set(chart.units[number], mode="drop")
+            motion = self.parts.motion(push(shift), self._still)
+            if self.system is not None:
+                held = -self.system.precondition(j.linear(motion))
+                motion = add_motions(motion, self.parts.motion(j.pull(held), self._still))
+            return self._rate(motion) / chart.units
+
+        found = lax.map(column, jnp.asarray(numbers.T), batch_size=_COLUMNS)
+        found = found.at[:, numbers].get(mode="fill", fill_value=0.0)  # (column, fibre, row)
+        return jnp.transpose(found, (1, 2, 0))
+
+
+def _numbers(chart: AbstractCoordinates) -> np.ndarray:
+    """The coordinates of each fibre, a row for each, filled up with a number that is too large."""
+    fibre = chart.fibres
+    rows = [np.flatnonzero(fibre == k) for k in range(len(chart.chain.fibres))]
+    size = max(len(row) for row in rows)
+    return np.stack([np.pad(r, (0, size - len(r)), constant_values=len(fibre)) for r in rows])
+
+
+@with_all_digits
+@eqx.filter_jit
+def near(t: Array, ahead: Array, chart: AbstractCoordinates, scene: Scene, guess: Array) -> Near:
+    """What is solved instead of stages of a step from a chart's start.
+
+    **Arguments**: time; g; the chart; scene; multipliers there, about.
+    """
+    state = chart.start
+    system = iterations(t, state, scene) if scene.constraints else None
+    part = parts(state, scene.operator(state), scene.chain)
+    found = Near(t, chart, scene, part, system, None)
+    columns = found.columns(guess)
+    if columns is None:
+        return found
+    unit = jnp.eye(columns.shape[1], dtype=columns.dtype)
+
+    def inverse(matrix: Array) -> Array:
+        factor, order = lu(unit - ahead * matrix)
+
+        def solve(rhs: Array) -> Array:
+            below = triangular_solve(factor, rhs[order], lower=True, unit=True)
+            return triangular_solve(factor, below, lower=False)
+
+        return jax.vmap(solve, in_axes=1, out_axes=1)(unit)
+
+    return eqx.tree_at(
+        lambda n: n.inverse, found, lax.map(inverse, columns), is_leaf=lambda x: x is None
+    )
+
+
+class _Scale(NamedTuple):
+    """Of the unknowns: by which they are of order one together."""
+
+    rate: Array
+    multipliers: Array
+
+    def joined(self, at: Unknowns) -> Array:
+        """In one vector."""
+        return jnp.concatenate([at.rate * self.rate, at.multipliers * self.multipliers])
+
+    def parted(self, numbers: Array) -> Unknowns:
+        """Out of one vector."""
+        rate, multipliers = jnp.split(numbers, [len(self.rate)])
+        return Unknowns(rate / self.rate, multipliers / self.multipliers)
+
+
+def _scale(h: Array, chart: AbstractCoordinates, multipliers: Array) -> _Scale:
+    largest = jnp.max(jnp.abs(multipliers), initial=0.0)
+    return _Scale(h / chart.units, _SMALL / jnp.where(largest > 0, largest, 1.0))
+
+
+def solved_stage(
+    stage: Stage,
+    h: Array,
+    chart: AbstractCoordinates,
+    scene: Scene,
+    near: Near,
+    guess: Unknowns,
+    enough: Array,
+) -> Found:
+    """Rate and multipliers of a stage.
+
+    **Arguments**: stage; h, the length of the step; the chart; scene; what is solved instead; a guess;
+    change of the step, over the coordinates' units, below which iterations end.
+    """
+    near, guess, enough = lax.stop_gradient((near, guess, enough))
+    unknowns, fine, products = _stage(stage, h, chart, scene, near, guess, enough)
+    return Found(unknowns, fine, products)
+
+
+@eqx.filter_custom_jvp
+def _stage(
+    stage: Stage,
+    h: Array,
+    chart: AbstractCoordinates,
+    scene: Scene,
+    near: Near,
+    guess: Unknowns,
+    enough: Array,
+) -> Found:
+    scale, implicit = _scale(h, chart, guess.multipliers), stage.ahead != 0
+
+    def step(numbers: Array) -> tuple[Array, Array]:
+        off = residual(stage, scale.parted(numbers), chart, scene)
+        change = near.answer(off, implicit)
+        size = jnp.max(jnp.abs(change.rate * scale.rate), initial=0.0)
+        return scale.joined(change), size
+
+    found = accelerated(step, scale.joined(guess), enough)
+    return Found(scale.parted(found.solution), found.converged, found.iterations)
+
+
+@_stage.def_jvp
+@with_all_digits
+def _stage_jvp(primals: Any, tangents: Any) -> tuple[Found, Found]:
+    """With R the two equations, dz = -(dR/dz)^-1 dR."""
+    stage, h, chart, scene, near, guess, _ = primals
+    found = _stage(*primals)
+    at = found.unknowns
+    scale, implicit = _scale(h, chart, guess.multipliers), stage.ahead != 0
+
+    def off(stage: Stage, chart: AbstractCoordinates, scene: Scene) -> Unknowns:
+        return residual(stage, at, chart, scene)
+
+    given = (tangents[0], tangents[2], tangents[3])
+    moved = eqx.filter_jvp(off, (stage, chart, scene), given)[1]
+    still = jax.tree.map(jnp.zeros_like, at)
+    moved = eqx.combine(moved, still)
+
+    def matvec(z: Unknowns) -> Unknowns:
+        return jax.jvp(lambda at: residual(stage, at, chart, scene), (at,), (z,))[1]
+
+    def solve(product: Any, rhs: Unknowns, answer: Any, scale: _Scale) -> Unknowns:
+        def step(numbers: Array) -> tuple[Array, Array]:
+            left = jax.tree.map(lambda a, b: a - b, product(scale.parted(numbers)), rhs)
+            change = scale.joined(answer(left, implicit))
+            return change, jnp.max(jnp.abs(change), initial=0.0)
+
+        none = scale.joined(jax.tree.map(jnp.zeros_like, rhs))
+        first = step(none)[1]
+        least = 1e-10 if jnp.finfo(none.dtype).eps < 1e-9 else 1e-4
+        return scale.parted(accelerated(step, none, least * first).solution)
+
+    backward = _Scale(1 / scale.rate, 1 / scale.multipliers)
+    answer = lax.custom_linear_solve(
+        matvec,
+        jax.tree.map(jnp.negative, moved),
+        lambda product, b: solve(product, b, near.answer, scale),
+        lambda product, b: solve(product, b, near.transposed, backward),
+    )
+    return found, Found(answer, None, None)  # type: ignore[arg-type]
