@@ -1,4 +1,4 @@
-"""Time, memory, iterations and error of one instant against the number of beads, up to 10^4.
+"""Time, memory, iterations and error of an instant, a step and a run of many fibres, up to 10^4 beads.
 
     python benchmarks/scaling.py [--quick] [--json] [--save]
 
@@ -9,10 +9,17 @@ of scene and state; and a dense evaluation where that is practical. The error is
 of the velocities from the dense ones, over the largest. Two checks stand for it at any size: the
 residual, the largest slip of the constraints over the largest velocity, and the product's error at
 sampled beads, whose velocities NumPy sums from the tensors of pairs. Memory is what the compiled
-gradient needs beside its arguments; `memory_gib` is the most that the whole process ever had, the run
-of 10^4 beads included: 100 fibres of 100 beads, followed by AB3 and again with steps of half the
-length, whose difference is the error in time. Exponents are slopes of log time over log N from 1000
-beads on.
+gradient needs beside its arguments; `memory_gib` is the most that the whole process ever had. Exponents
+are slopes of log time over log N from 1000 beads on.
+
+A step of `ESDIRK`, of 0.02 of the time in which a fibre falls by its length: seconds of the step and of
+one of its stages, products with the mobility in a stage, error of the rates of the coordinates, of the
+largest, against iterations that go on to 1e-11. `stage_s` and `stage_error` are those of 100 fibres of
+100 beads.
+
+A cloud (the scene of that name, B = 1000, half a length apart) falls by two lengths: steps, products,
+seconds of the run and of compiling, and its error, the largest distance of a bead over L from where it
+is with a tenth of the tolerance. `many_ratio` is the number of AB3's steps at (39) over that of stages.
 """
 
 import json
@@ -28,14 +35,18 @@ import numpy as np
 from record import Program, duration, number, order, table
 
 import jaxbeads as jb
-from jaxbeads import dynamics, saddle, tensors
+from jaxbeads import dynamics, saddle, scenes, tensors
 from jaxbeads.constraint import Gears
+from jaxbeads.coordinates import coordinates
 from jaxbeads.force import Bending, Weight
 from jaxbeads.iterations import conjugate_gradients
 from jaxbeads.mobility import RPY
+from jaxbeads.rollout import stepper_for
+from jaxbeads.solver.esdirk import Esdirk
 
 jax.config.update("jax_enable_x64", True)
 MOST_DENSE = 1000
+STAGE_TOLERANCE = 1e-5
 COLUMNS = ("product_ms", "evaluation_ms", "dense_ms", "gradient_ms", "iterations")
 ERRORS = ("error", "residual", "product_error", "memory_mib")
 
@@ -153,24 +164,79 @@ def measure(fibres: tuple[int, ...], gradients: bool) -> dict[str, float]:
     return row
 
 
-def run(steps: int) -> dict[str, float]:
-    """100 fibres of 100 beads: seconds for a step, and how far half the step moves the end."""
-    scene, state = suspension((100,) * 100)
-    ts = [0.0, steps * float(jb.solver.explicit_step(scene))]
-    paths, elapsed = [], []
-    for substeps in (steps, 2 * steps):
-        start = time.perf_counter()
-        paths.append(jax.block_until_ready(jb.rollout(scene, state, ts, substeps=substeps)))
-        elapsed.append(time.perf_counter() - start)
-    ends = [path.final.position for path in paths]
-    way = jnp.abs(ends[1] - state.position).max()
+def pushed_ms(fibres: tuple[int, ...]) -> float:
+    """Milliseconds of a product."""
+    scene, state = suspension(fibres)
+    rng = np.random.default_rng(2)
+    load = jb.Load(*(jnp.asarray(rng.normal(size=state.position.shape)) for _ in range(2)))
+    jax.block_until_ready(product(state, scene, load))
+    return median_ms(product, state, scene, load)
+
+
+def stage(fibres: tuple[int, ...]) -> dict[str, float]:
+    """A step of `ESDIRK` from bent fibres at rest in their own flow."""
+    scene, state = suspension(fibres)
+    length, weight = 2.0 * max(fibres), 1.0 * max(fibres)
+    speed = weight / float(scenes.settling_friction(scenes.settling(max(fibres)).scene))
+    h = 0.02 * length / speed
+    chart = eqx.filter_jit(coordinates)(scene, state)
+
+    @eqx.filter_jit
+    def begun(scheme: Any, state: jb.State, scene: jb.Scene) -> Any:
+        memory = scheme.init(None, 0.0, h, state, scene)
+        return scheme.step(None, 0.0, h, state, scene, memory, False)
+
+    def rates(tolerance: float) -> tuple[np.ndarray, int]:
+        _, _, dense, memory, _ = begun(Esdirk(jnp.asarray(tolerance)), state, scene)
+        return np.asarray(dense["x1"] / chart.units), int(memory.products)
+
+    found, products = rates(STAGE_TOLERANCE)
+    exact, _ = rates(1e-10)
+    step = Esdirk(jnp.asarray(STAGE_TOLERANCE))
+    seconds = 1e-3 * median_ms(begun, step, state, scene)
     return {
-        "steps": steps,
-        "step_s": (elapsed[1] - elapsed[0]) / steps,
-        "error_over_way": float(jnp.abs(ends[0] - ends[1]).max() / way),
-        "bond_length_error": float(paths[0].bond_length_error.max()),
-        "code": int(paths[0].code),
+        "step_s": seconds,
+        "stage_s": seconds / 6,
+        "products": products / 6,
+        "stage_error": float(np.abs(found - exact).max() / np.abs(exact).max()),
     }
+
+
+def cloud(fibres: int, beads: int, tolerance: float) -> dict[str, float]:
+    """A cloud falls by two lengths."""
+    case = scenes.cloud(fibres, beads, 1000.0, 0.5)
+    scene, state, ts = case.scene, case.state, case.ts[[0, -1]]
+    length, ends, found = float(scene.chain.length[0]), [], {}
+    for asked in (tolerance, 0.1 * tolerance):
+        stepper = stepper_for(scene, jnp.asarray(ts), jb.ESDIRK(tolerance=asked))
+
+        @eqx.filter_jit
+        def go(stepper: Any, scene: jb.Scene, state: jb.State) -> Any:
+            carry = stepper.init(scene, state, ts[0], ts[1])
+            return stepper.stretch(scene, carry, ts[0], ts[1], stepper.max_steps)
+
+        start = time.perf_counter()
+        compiled = go.lower(stepper, scene, state).compile()
+        middle = time.perf_counter()
+        carry = jax.block_until_ready(compiled(stepper, scene, state))
+        end = time.perf_counter()
+        ends.append(np.asarray(carry.state.position))
+        if not found:
+            ab3 = (ts[1] - ts[0]) / float(jb.solver.explicit_step(scene))
+            steps = int(carry.steps)
+            found = {
+                "fibres": fibres,
+                "beads": beads,
+                "tolerance": tolerance,
+                "steps": steps,
+                "products_kept": int(carry.memory.solver.products),
+                "code": int(carry.code),
+                "ratio": ab3 / (6 * steps),
+                "wall_s": end - start,
+                "compile_s": middle - start,
+            }
+    off = np.linalg.norm(ends[0] - ends[1], axis=1).max() / length
+    return {**found, "error": float(off)}
 
 
 def slope(rows: dict[str, dict[str, float]], name: str) -> float:
@@ -205,7 +271,43 @@ def tables(figures: dict[str, Any]) -> dict[str, list[str]]:
         cells = [*map(duration, times), str(row["iterations"]), *map(order, errors), memory]
         label = f"{figures['fibres']} fibres of 100" if name == "many" else name
         rows.append([label, *cells])
-    return {"large-scenes": table(head, rows)}
+    steps = [
+        [
+            name,
+            duration(row["step_s"]),
+            duration(row["stage_s"]),
+            number(row["products"]),
+            order(row["stage_error"]),
+        ]
+        for name, row in figures["stages"].items()
+    ]
+    fallen = figures["cloud"]
+    run = [
+        f"{fallen['fibres']} x {fallen['beads']}",
+        str(fallen["steps"]),
+        str(fallen["products_kept"]),
+        duration(fallen["wall_s"]),
+        duration(fallen["compile_s"]),
+        order(fallen["error"]),
+        number(fallen["ratio"]),
+    ]
+    heads = (
+        ("beads", "step", "stage", "products in a stage", "error of the rates"),
+        (
+            "cloud",
+            "steps",
+            "products",
+            "run",
+            "of it compiling",
+            "error",
+            "AB3's steps over stages",
+        ),
+    )
+    return {
+        "large-scenes": table(head, rows),
+        "large-steps": table(heads[0], steps),
+        "clouds": table(heads[1], [run]),
+    }
 
 
 def main() -> None:
@@ -220,15 +322,27 @@ def main() -> None:
     fibres = 20 if arguments.quick else 100
     many = measure((100,) * fibres, False)
     line(f"{fibres} x 100", many)
+    stages = {"1000": stage((1000,)), f"{fibres} x 100": stage((100,) * fibres)}
+    for name, row in stages.items():
+        print(f"{name}: a step", json.dumps(row), flush=True)
+    fallen = cloud(16, 25, 1e-4) if arguments.quick else cloud(100, 100, 1e-4)
+    print("a cloud:", json.dumps(fallen), flush=True)
+    large = stages[f"{fibres} x 100"]
     result: dict[str, Any] = {
+        "stage_s": large["stage_s"],
+        "stage_error": large["stage_error"],
+        "product_1e4_s": 1e-3 * rows["10000"]["product_ms"],
+        **{f"many_{name}": fallen[name] for name in ("error", "ratio", "wall_s")},
         "exponent": slope(rows, "evaluation_ms"),
         "product_exponent": slope(rows, "product_ms"),
         "iterations": max(row["iterations"] for row in rows.values()),
         "rows": {**rows, "many": many},
+        "stages": stages,
+        "cloud": fallen,
     }
     if not arguments.quick:
-        result["run"] = run(4)
-        print("100 fibres of 100 beads:", json.dumps(result["run"]))
+        result["product_1e5_s"] = 1e-3 * pushed_ms((100_000,))
+        print(f"product of 10^5 beads: {result['product_1e5_s']:.3g} s")
     result["memory_gib"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     print(
         f"time of an evaluation like N^{result['exponent']:.2f}, of a product like "

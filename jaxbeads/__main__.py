@@ -21,7 +21,7 @@ from .outcome import Outcome
 from .paraview import check_paraview, to_paraview
 from .scenes import MODELS, SCENES, AbstractModel, Case, ReadyMade, Value
 from .solution import Solution
-from .solver import AB3, AbstractSolver, Diffrax, Rosenbrock
+from .solver import AB3, ESDIRK, AbstractSolver, Diffrax, Rosenbrock
 from .tables import to_csv
 
 _INTERRUPTED, _NO_READER = 128 + 2, 128 + 13  # as a shell reports SIGINT and SIGPIPE
@@ -47,7 +47,7 @@ def _parser() -> argparse.ArgumentParser:
         sub.add_argument(
             "--solver",
             metavar="NAME",
-            help="Rosenbrock, AB3 or a diffrax solver, as Tsit5 (default: what the scene needs)",
+            help="Rosenbrock, ESDIRK, AB3 or a diffrax solver, as Tsit5 (default: what the scene needs)",
         )
         sub.add_argument(
             "--tolerance",
@@ -104,14 +104,14 @@ def _adaptive_solver(name: str) -> diffrax.AbstractSolver | None:
 
 
 def _solver(name: str, tolerance: float | None) -> AbstractSolver:
-    own = {"ab3": AB3, "rosenbrock": Rosenbrock}
+    own = {"ab3": AB3, "esdirk": ESDIRK, "rosenbrock": Rosenbrock}
     if name.lower() in own:
         return own[name.lower()](tolerance=tolerance)
     scheme = _adaptive_solver(name)
     if scheme is None:
         raise ValueError(
-            "Argument `--solver` must be Rosenbrock, AB3 or the name of an adaptive diffrax solver "
-            f"(Tsit5, Dopri5, Kvaerno3, Kvaerno5, ...), but it is {name!r}."
+            "Argument `--solver` must be Rosenbrock, ESDIRK, AB3 or the name of an adaptive diffrax "
+            f"solver (Tsit5, Dopri5, Kvaerno3, Kvaerno5, ...), but it is {name!r}."
         )
     return Diffrax(scheme, tolerance=tolerance)
 

@@ -18,7 +18,7 @@ from .loops import linked
 from .outcome import Outcome
 from .scene import Scene, check
 from .solution import Solution, name_number
-from .solver import AB3, AbstractSolver, AdaptiveSteps, Diffrax, FixedSteps, Rosenbrock
+from .solver import AB3, ESDIRK, AbstractSolver, AdaptiveSteps, Diffrax, FixedSteps, Rosenbrock
 from .solver.base import plain
 from .solver.explicit import substeps_for
 from .solver.stepping import Carry
@@ -34,10 +34,12 @@ _LEAST_STEP = 100
 
 
 def default_solver(scene: Scene) -> AbstractSolver:
-    """`Rosenbrock` if a force of the scene is stiff and its mobility is dense, otherwise `Tsit5`."""
-    if scene.dense and any(force.stiff for force in scene.forces):
-        return Rosenbrock()
-    return Diffrax(diffrax.Tsit5())
+    """`Tsit5` if no force of the scene is stiff; otherwise `Rosenbrock`, or `ESDIRK` where the mobility
+    is not dense.
+    """
+    if not any(force.stiff for force in scene.forces):
+        return Diffrax(diffrax.Tsit5())
+    return Rosenbrock() if scene.dense else ESDIRK()
 
 
 def solver_for(
@@ -67,7 +69,7 @@ def solver_for(
 def stepper_for(scene: Scene, ts: Float[Array, " times"], solver: AbstractSolver) -> Stepper:
     """The stepper of a solver in a scene: all its options have values there."""
     if solver.needs_matrix and not scene.dense:
-        must = "be explicit (`AB3()`, `Tsit5()`) where the mobility is not dense"
+        must = "be `ESDIRK()` or explicit (`AB3()`, `Tsit5()`) where the mobility is not dense"
         fail("solver", must, f"it is {solver.name} (`RPY(dense=True)` makes it dense at any size)")
     _check_distinct(ts)
     if solver.substeps is None and solver.estimates_error:
@@ -184,8 +186,8 @@ def rollout(
     - `ts`: increasing times [time], `(times,)`; for `AB3` evenly spaced.
     - `solver`: with its own options, as `Rosenbrock(tolerance=1e-8)`, `AB3(substeps=50)` or
       `Diffrax(diffrax.Tsit5(), projected=False)`; see `solver.AbstractSolver`. A bare `diffrax` solver
-      has the usual ones. By default what the scene needs: `Rosenbrock` if a force is stiff and the
-      mobility dense, otherwise `diffrax.Tsit5`.
+      has the usual ones. By default what the scene needs: `Rosenbrock` if a force is stiff (`ESDIRK`
+      where the mobility is not dense), otherwise `diffrax.Tsit5`.
     - `tolerance`: short for that solver's: largest error of a step, as a fraction of the longest fibre's
       length; by default 1e-6 (float32: 1e-4). The error over a path is of the same size where
       neighbouring paths converge.

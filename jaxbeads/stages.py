@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
 from ._typing import with_all_digits
@@ -30,7 +31,7 @@ from .instant import ambient_motion, applied_load, moving
 from .iterations import accelerated
 from .saddle import Iterations, constraint_map, iterations
 from .scene import Scene
-from .state import Load, Motion, add_loads, add_motions, zero_motion
+from .state import Load, Motion, State, add_loads, add_motions, zero_motion
 from .windows import AbstractParts, parts
 
 _COLUMNS = 64
@@ -102,6 +103,9 @@ class Near(eqx.Module):
     """
 
     t: Float[Array, ""]
+    x: Float[Array, " numbers"]
+    state: State
+    """That at x."""
     chart: AbstractCoordinates
     scene: Scene
     parts: AbstractParts
@@ -138,21 +142,21 @@ class Near(eqx.Module):
 
     def _rate(self, motion: Motion) -> Array:
         """T."""
-        chart, state = self.chart, self.chart.start
-        return chart.rate(chart.origin, state, moving(state, motion, self.scene.chain))
+        moved = moving(self.state, motion, self.scene.chain)
+        return self.chart.rate(self.x, self.state, moved)
 
     @property
     def _still(self) -> Motion:
-        return zero_motion(self.chart.start, self.scene.rotational)
+        return zero_motion(self.state, self.scene.rotational)
 
     def _pulled(self, multipliers: Array) -> Array:
         """T M' J^T lambda."""
-        j = constraint_map(self.t, self.chart.start, self.scene)
+        j = constraint_map(self.t, self.state, self.scene)
         return self._rate(self.parts.motion(j.pull(multipliers), self._still))
 
     def _transposed_pull(self, rate: Array) -> Array:
         """J M' T^T k."""
-        j = constraint_map(self.t, self.chart.start, self.scene)
+        j = constraint_map(self.t, self.state, self.scene)
         (motion,) = jax.vjp(self._rate, self._still)[1](rate)
         return j.linear(self.parts.motion(Load(motion.velocity, motion.spin), self._still))
 
@@ -161,16 +165,16 @@ class Near(eqx.Module):
         at once, by the second of each, and so on.
         """
         chart, scene, numbers = self.chart, self.scene, _numbers(self.chart)
-        j = constraint_map(self.t, chart.start, scene)
         of_load = eqx.Partial(_load, self.t, multipliers=multipliers, chart=chart, scene=scene)
-        load, push = jax.linearize(of_load, chart.origin)
+        load, push = jax.linearize(of_load, self.x)
         if load.force is None and load.torque is None:
             return None
 
         def column(number: Array) -> Array:
-            shift = chart.origin.at[number].set(chart.units[number], mode="drop")
+            shift = jnp.zeros_like(self.x).at[number].set(chart.units[number], mode="drop")
             motion = self.parts.motion(push(shift), self._still)
             if self.system is not None:
+                j = constraint_map(self.t, self.state, scene)
                 held = -self.system.precondition(j.linear(motion))
                 motion = add_motions(motion, self.parts.motion(j.pull(held), self._still))
             return self._rate(motion) / chart.units
@@ -190,15 +194,17 @@ def _numbers(chart: AbstractCoordinates) -> np.ndarray:
 
 @with_all_digits
 @eqx.filter_jit
-def near(t: Array, ahead: Array, chart: AbstractCoordinates, scene: Scene, guess: Array) -> Near:
-    """What is solved instead of stages of a step from a chart's start.
+def near(
+    t: Array, x: Array, ahead: Array, chart: AbstractCoordinates, scene: Scene, guess: Array
+) -> Near:
+    """What is solved instead of the stages of a step.
 
-    **Arguments**: time; g; the chart; scene; multipliers there, about.
+    **Arguments**: time; coordinates about which; g; the chart; scene; multipliers there, about.
     """
-    state = chart.start
+    state = chart.state(x)
     system = iterations(t, state, scene) if scene.constraints else None
     part = parts(state, scene.operator(state), scene.chain)
-    found = Near(t, chart, scene, part, system, None)
+    found = Near(t, x, state, chart, scene, part, system, None)
     columns = found.columns(guess)
     if columns is None:
         return found
@@ -297,25 +303,30 @@ def _stage_jvp(primals: Any, tangents: Any) -> tuple[Found, Found]:
     still = jax.tree.map(jnp.zeros_like, at)
     moved = eqx.combine(moved, still)
 
-    def matvec(z: Unknowns) -> Unknowns:
-        return jax.jvp(lambda at: residual(stage, at, chart, scene), (at,), (z,))[1]
+    # One vector: of two, the transpose asks that both depend on what moves.
+    whole, apart = ravel_pytree(moved)
 
-    def solve(product: Any, rhs: Unknowns, answer: Any, scale: _Scale) -> Unknowns:
+    def matvec(z: Array) -> Array:
+        change = jax.jvp(lambda at: residual(stage, at, chart, scene), (at,), (apart(z),))[1]
+        return ravel_pytree(change)[0]
+
+    def solve(product: Any, rhs: Array, answer: Any, scale: _Scale) -> Array:
         def step(numbers: Array) -> tuple[Array, Array]:
-            left = jax.tree.map(lambda a, b: a - b, product(scale.parted(numbers)), rhs)
+            left = apart(product(ravel_pytree(scale.parted(numbers))[0]) - rhs)
             change = scale.joined(answer(left, implicit))
             return change, jnp.max(jnp.abs(change), initial=0.0)
 
-        none = scale.joined(jax.tree.map(jnp.zeros_like, rhs))
+        none = jnp.zeros_like(rhs)
         first = step(none)[1]
         least = 1e-10 if jnp.finfo(none.dtype).eps < 1e-9 else 1e-4
-        return scale.parted(accelerated(step, none, least * first).solution)
+        return ravel_pytree(scale.parted(accelerated(step, none, least * first).solution))[0]
 
     backward = _Scale(1 / scale.rate, 1 / scale.multipliers)
     answer = lax.custom_linear_solve(
         matvec,
-        jax.tree.map(jnp.negative, moved),
+        -whole,
         lambda product, b: solve(product, b, near.answer, scale),
         lambda product, b: solve(product, b, near.transposed, backward),
     )
-    return found, Found(answer, None, None)  # type: ignore[arg-type]
+    no: Any = None
+    return found, Found(apart(answer), no, no)

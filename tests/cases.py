@@ -10,7 +10,7 @@ import numpy as np
 from jax import Array
 from jax.tree_util import Partial
 
-from jaxbeads import AB3, Chain, Scene, State, dynamics, from_directors, from_tangents
+from jaxbeads import AB3, ESDIRK, Chain, Scene, State, dynamics, from_directors, from_tangents
 from jaxbeads.actuation import FourierCurvature, TravellingWave, TwoPlanes, TwoStrokes
 from jaxbeads.constraint import (
     EqualSpins,
@@ -104,6 +104,7 @@ SOLVERS = [
     (Diffrax(diffrax.Heun()), 2),
     (Diffrax(diffrax.Bosh3()), 3),
     (Rosenbrock(), 4),
+    (ESDIRK(), 4),
 ]
 
 

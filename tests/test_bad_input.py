@@ -860,11 +860,11 @@ def test_a_file_of_another_run_is_not_continued(terms, options, says, written, t
     [
         (
             "jeffery --beads 4 --solver nonsense",
-            "`--solver` must be Rosenbrock, AB3 or .* but it is 'nonsense'",
+            "`--solver` must be Rosenbrock, ESDIRK, AB3 or .* but it is 'nonsense'",
         ),
         (
             "jeffery --beads 4 --solver Euler",
-            "`--solver` must be Rosenbrock, AB3 or the name",
+            "`--solver` must be Rosenbrock, ESDIRK, AB3 or the name",
         ),
         (
             "jeffery --beads 4 --solver HalfSolver",
@@ -872,7 +872,7 @@ def test_a_file_of_another_run_is_not_continued(terms, options, says, written, t
         ),
         (
             "jeffery --beads 4 --solver KenCarp4",
-            "`--solver` must be Rosenbrock, AB3 or .* 'KenCarp4'",
+            "`--solver` must be Rosenbrock, ESDIRK, AB3 or .* 'KenCarp4'",
         ),
         (
             "jeffery --beads 4 --out text",

@@ -140,7 +140,7 @@ def test_unknown_solver_is_one_sentence(capsys):
     assert main(["jeffery", "--beads", "4", "--solver", "magic"]) == 1
     printed = capsys.readouterr()
     assert printed.out == "" and printed.err.count("\n") == 1
-    assert printed.err.startswith("Argument `--solver` must be Rosenbrock, AB3 or the name")
+    assert printed.err.startswith("Argument `--solver` must be Rosenbrock, ESDIRK, AB3 or the name")
     assert printed.err.endswith("but it is 'magic'.\n")
 
 

@@ -200,12 +200,14 @@ def test_no_array_of_pairs():
     assert program.memory_analysis().temp_size_in_bytes < 8 * beads**2
 
 
-def test_a_large_run_takes_an_explicit_solver():
+def test_a_large_run_needs_no_matrix():
     model = scene(Chain(1.0, 1001))
     state = bent(model.chain)
-    assert default_solver(model).name == "Tsit5"
+    assert isinstance(default_solver(model), jb.ESDIRK)
+    soft = scene(model.chain, forces=[Weight([0.0, -1.0])])
+    assert default_solver(soft).name == "Tsit5"
     assert isinstance(default_solver(scene(Chain(1.0, 1000))), jb.Rosenbrock)
-    with pytest.raises(ValueError, match="`solver` must be explicit"):
+    with pytest.raises(ValueError, match=r"`solver` must be `ESDIRK\(\)` or explicit"):
         jb.rollout(model, state, [0.0, 1.0], solver=jb.Rosenbrock())
     with pytest.raises(ValueError, match="must have a dense mobility"):
         jb.steady_state(model, state)

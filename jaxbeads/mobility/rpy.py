@@ -56,8 +56,8 @@ class RPY(AbstractMobility):
       as points, which many bead models assume.
     - `dense`: whether the mobility is kept as tables of `(beads, beads)` and the multipliers are found
       by a factorisation. Otherwise pairs are summed anew for each product, multipliers are iterated
-      (to 1e-12), and memory grows like the number of beads; `Rosenbrock` and steady states need the
-      tables. By default up to 1000 beads.
+      (to 1e-12), and memory grows like the number of beads; steps are those of `ESDIRK` or explicit,
+      and steady states need the tables. By default up to 1000 beads.
 
     >>> import jax.numpy as jnp
     >>> import jaxbeads as jb

@@ -1,9 +1,9 @@
 """Solvers: ways to advance a state in time.
 
 A solver carries its own options and declares what it can do, see `AbstractSolver`. `AB3` is the paper's
-scheme, `Rosenbrock` the one for stiff scenes; `Diffrax` holds any solver of `diffrax`. A new one is a
-class derived from `AbstractSolver` with a scheme derived from `diffrax.AbstractSolver`, in a file of its
-own, a line here and a line in `tests/cases.py`.
+scheme, `Rosenbrock` the one for stiff scenes, `ESDIRK` that for large ones; `Diffrax` holds any solver
+of `diffrax`. A new one is a class derived from `AbstractSolver` with a scheme derived from
+`diffrax.AbstractSolver`, in a file of its own, a line here and a line in `tests/cases.py`.
 """
 
 from .ab3 import AB3 as AB3

@@ -1,19 +1,20 @@
 """Implicit steps for stiff scenes of any size."""
 
+import itertools
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float, Int, PyTree
 
 from ..coordinates import coordinates
 from ..saddle import slips
 from ..scene import Scene
-from ..stages import Stage, Unknowns, near, solved_stage
+from ..stages import Near, Stage, Unknowns, near, solved_stage
 from ..state import State, zero_motion
 from .base import AbstractSolver, CubicPath
 from .tolerance import default_tolerance
@@ -63,23 +64,31 @@ _WITHOUT = 1e-3
 
 
 def _guesses() -> np.ndarray:
-    """Weights of the stages before each one in its first guess: the parabola through the last three
-    times, or the last stage where that reaches too far.
+    """Weights of the stages before each one in its first guess: the parabola through three times (or
+    what there is) that takes them least far.
     """
     table = np.zeros((6, 6))
     for i in range(1, 6):
-        last = [j for j in range(i - 1, -1, -1)][:3]
-        weights = {
-            j: np.prod([(_C[i] - _C[m]) / (_C[j] - _C[m]) for m in last if m != j]) for j in last
-        }
-        if max(map(abs, weights.values())) > 4:
-            weights = {i - 1: 1.0}
-        for j, weight in weights.items():
-            table[i, j] = weight
+        choices = []
+        for nodes in itertools.combinations(range(i), min(i, 3)):
+            at = _C[list(nodes)]
+            weights = [np.prod([(_C[i] - b) / (a - b) for b in at if b != a]) for a in at]
+            choices.append((max(map(abs, weights)), nodes, weights))
+        _, nodes, weights = min(choices)
+        table[i, list(nodes)] = weights
     return table
 
 
 _GUESSES = _guesses()
+
+
+class Memory(NamedTuple):
+    """What goes from step to step."""
+
+    multipliers: Float[Array, " rows"]
+    """Of the last stage, where the next step begins to look for its own."""
+    products: Int[Array, ""]
+    """Products with the mobility, of the steps that were kept."""
 
 
 class Esdirk(diffrax.AbstractAdaptiveSolver):
@@ -106,12 +115,12 @@ class Esdirk(diffrax.AbstractAdaptiveSolver):
         """4: the error estimate falls like h^4."""
         return 4
 
-    def init(self, terms: Any, t0: Any, t1: Any, y0: State, args: Scene) -> Array:
-        """Multipliers of the last stage, where the next step begins to look for its own."""
-        still = zero_motion(y0, args.rotational)
-        if not args.constraints:
-            return jnp.zeros((0,), y0.position.dtype)
-        return jnp.zeros_like(slips(jnp.asarray(t0), y0, args)(still))
+    def init(self, terms: Any, t0: Any, t1: Any, y0: State, args: Scene) -> Memory:
+        """No multipliers yet."""
+        none, still = jnp.zeros((0,), y0.position.dtype), zero_motion(y0, args.rotational)
+        if args.constraints:
+            none = jnp.zeros_like(slips(jnp.asarray(t0), y0, args)(still))
+        return Memory(none, jnp.zeros((), int))
 
     def step(
         self,
@@ -120,9 +129,9 @@ class Esdirk(diffrax.AbstractAdaptiveSolver):
         t1: Any,
         y0: State,
         args: Scene,
-        solver_state: Array,
+        solver_state: Memory,
         made_jump: Any,
-    ) -> tuple[State, State, dict, Array, diffrax.RESULTS]:
+    ) -> tuple[State, State, dict, Memory, diffrax.RESULTS]:
         """One step from t0 to t1."""
         chart, t0 = coordinates(args, y0), jnp.asarray(t0)
         h = t1 - t0
@@ -130,35 +139,45 @@ class Esdirk(diffrax.AbstractAdaptiveSolver):
         usual = default_tolerance(dtype)
         tolerance = usual * _WITHOUT if self.tolerance is None else self.tolerance
         enough = _ENOUGH * jnp.asarray(tolerance, dtype)
-        before = lax.stop_gradient(solver_state)
-        constant = lax.stop_gradient((t0, _GAMMA * h, chart, args))
-        close = near(*constant, before)
+        before = lax.stop_gradient(solver_state.multipliers)
 
-        def stage(found: tuple[Array, Array, Array], row: Any) -> tuple[Any, None]:
-            rates, multipliers, fine = found
+        def about(t: Array, x: Array, multipliers: Array) -> Near:
+            return near(*lax.stop_gradient((t, x, _GAMMA * h, chart, args, multipliers)))
+
+        def stage(found: tuple[Any, ...], row: Any) -> tuple[Any, None]:
+            rates, multipliers, fine, products, close = found
             index, a, c, ahead, weights = row
             first = jnp.where(index == 0, before, weights @ multipliers)
             at = Stage(t0 + c * h, h * (a @ rates), h * ahead)
             guess = Unknowns(weights @ rates, first)
+            # All implicit stages are solved about the middle of the step, where its begin leads.
+            close = lax.cond(
+                index == 1,
+                lambda: about(t0 + 0.5 * h, 0.5 * h * rates[0], multipliers[0]),
+                lambda: close,
+            )
             solved = solved_stage(at, h, chart, args, close, guess, enough)
             rates = rates.at[index].set(solved.unknowns.rate)
             multipliers = multipliers.at[index].set(lax.stop_gradient(solved.unknowns.multipliers))
-            return (rates, multipliers, fine & solved.fine), None
+            fine, products = fine & solved.fine, products + solved.products
+            return (rates, multipliers, fine, products, close), None
 
         none = jnp.zeros((6, len(chart.origin)), dtype), jnp.zeros((6, len(before)), dtype)
         rows = (_A - np.diag(np.diag(_A)), _C, np.diag(_A), _GUESSES)
         table = (jnp.arange(6), *(jnp.asarray(x, dtype) for x in rows))
         # A loop, so that a stage is compiled once.
-        (rates, multipliers, fine), _ = lax.scan(stage, (*none, jnp.asarray(True)), table)
+        close = about(t0, chart.origin, before)
+        first = (*none, jnp.asarray(True), solver_state.products, close)
+        (rates, multipliers, fine, products, _), _ = lax.scan(stage, first, table)
         x1 = h * (jnp.asarray(_A[5], dtype) @ rates)
         error = h * (jnp.asarray(_ERROR, dtype) @ rates)
         y1, other = chart.state(x1), chart.state(x1 - error)
         off = jax.tree.map(lambda a, b: a - b, y1, other)
-        first, last = h * rates[0], h * rates[5]
-        bend = jnp.stack([first - x1, 2 * x1 - first - last])
+        begin, end = h * rates[0], h * rates[5]
+        bend = jnp.stack([begin - x1, 2 * x1 - begin - end])
         dense = {"coordinates": chart, "x1": x1, "bend": bend}
         result = diffrax.RESULTS.where(fine, diffrax.RESULTS.successful, _NOT_FOUND)
-        return y1, off, dense, multipliers[5], result
+        return y1, off, dense, Memory(multipliers[5], products), result
 
     def func(self, terms: Any, t0: Any, y0: State, args: Scene) -> State:
         """The right-hand side."""

@@ -1,0 +1,148 @@
+"""Implicit steps of scenes of any size: their stages, their derivatives, and what they cost."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from examples import EXAMPLES, springs, swimmers
+
+import jaxbeads as jb
+from jaxbeads import ESDIRK, Chain, Scene
+from jaxbeads.constraint import Gears
+from jaxbeads.coordinates import coordinates
+from jaxbeads.force import Bending, Contact, Weight
+from jaxbeads.iterations import accelerated
+from jaxbeads.linearise import coordinate_rate
+from jaxbeads.mobility import RPY
+from jaxbeads.stages import Stage, Unknowns, near, solved_stage
+
+TIME = jnp.asarray(0.3)
+FAST = {"xla_backend_optimization_level": 0}
+
+
+def test_accelerated_iterations():
+    rng = np.random.default_rng(0)
+    a = np.eye(30) + 0.3 * rng.normal(size=(30, 30)) / 30**0.5
+    a[0] *= 3.0  # plain iterations would diverge
+    rhs = rng.normal(size=30)
+
+    def linear(z):
+        change = rhs - a @ z
+        return change, jnp.abs(change).max()
+
+    found = accelerated(linear, jnp.zeros(30), jnp.asarray(1e-10))
+    assert found.converged and found.iterations < 25
+    assert np.abs(found.solution - np.linalg.solve(a, rhs)).max() < 1e-9
+    # cos z = z; nothing to do; and none.
+    cosine = accelerated(
+        lambda z: (jnp.cos(z) - z, jnp.abs(jnp.cos(z) - z)[0]), jnp.zeros(1), jnp.asarray(1e-12)
+    )
+    assert (
+        abs(cosine.solution[0] - 0.7390851332151607) < 1e-12 and cosine.iterations < 15
+    )  # plainly 70
+    at_once = accelerated(lambda z: (0 * z, jnp.zeros(())), jnp.ones(3), jnp.asarray(0.0))
+    assert at_once.iterations == 1 and (at_once.solution == 1).all()
+    none = accelerated(lambda z: (1 + z**2, jnp.max(1 + z**2)), jnp.ones(1), jnp.asarray(1e-9))
+    assert not none.converged and np.isnan(none.solution).all()
+
+
+def solve(base, h, ahead, chart, model):
+    """A stage at t = 0.3 from no guess."""
+    rows = len(jb.dynamics.evaluate(TIME, chart.start, model).multipliers)
+    guess = Unknowns(jnp.zeros_like(base), jnp.zeros(rows))
+    close = near(TIME, chart.origin, jnp.asarray(ahead), chart, model, guess.multipliers)
+    stage = Stage(TIME, base, jnp.asarray(ahead))
+    return solved_stage(stage, jnp.asarray(h), chart, model, close, guess, jnp.asarray(1e-11))
+
+
+def stage(example):
+    """A chart, a base near its start, and a function that solves a stage of it."""
+    model, state = example()
+    chart, rng = coordinates(model, state), np.random.default_rng(1)
+    return model, chart, 0.01 * jnp.asarray(rng.normal(size=len(chart.origin)))
+
+
+@pytest.mark.parametrize("example", EXAMPLES)
+def test_a_stage_fulfils_its_equations(example):
+    model, chart, base = stage(example)
+
+    @partial(jax.jit, compiler_options=FAST)
+    def both(base):
+        found = solve(base, 0.1, 0.025, chart, model)
+        x = base + 0.025 * found.unknowns.rate
+        return found, coordinate_rate(TIME, x, chart, model)
+
+    found, expected = both(base)
+    assert found.fine and found.products <= 20
+    assert np.abs(found.unknowns.rate - expected).max() < 1e-9 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("example", [swimmers, springs])
+def test_derivatives_of_a_stage(example):
+    model, chart, base = stage(example)
+    h, ahead = 0.1, 0.025
+
+    @partial(jax.jit, compiler_options=FAST)
+    def both(base, shift, pull):
+        rate, push = jax.linearize(lambda b: solve(b, h, ahead, chart, model).unknowns.rate, base)
+        back = jax.linear_transpose(push, shift)(pull)[0]
+        x = base + ahead * rate
+        jacobian = jax.jacfwd(lambda x: coordinate_rate(TIME, x, chart, model))(x)
+        return push(shift), back, jacobian
+
+    rng = np.random.default_rng(2)
+    shift, pull = (jnp.asarray(rng.normal(size=len(base))) for _ in range(2))
+    moved, back, jacobian = both(base, shift, pull)
+    # k = f(b + g k): dk = (1 - g W)^-1 W db.
+    implicit = np.linalg.solve(np.eye(len(base)) - ahead * jacobian, jacobian)
+    for mine, expected in ((moved, implicit @ shift), (back, implicit.T @ pull)):
+        assert np.abs(mine - expected).max() < 1e-7 * np.abs(expected).max()
+
+
+def suspension(beads=(5, 3, 4), dense=False, rigidity=30.0, weight=1.0):
+    """Fibres of unequal length, not far apart, that settle."""
+    chain, rng = Chain(1.0, beads), np.random.default_rng(0)
+    directions = rng.normal(size=(len(beads), 3))
+    places = 7.0 * np.eye(3)[: len(beads)]
+    forces = [Weight(jnp.array([0.0, -1.0, 0.1]) * weight), Bending(rigidity)]
+    forces.append(Contact(1.0, 0.1, 0.1))
+    model = Scene(chain, 1.0, RPY(dense=dense), constraints=[Gears()], forces=forces)
+    return model, jb.straight(chain, directions, places)
+
+
+def test_steps_are_those_of_the_dense_scene():
+    model, state = suspension()
+    dense, _ = suspension(dense=True)
+    ts, length = [0.0, 40.0, 100.0], 10.0
+    expected = jb.rollout(dense, state, ts, solver=jb.Rosenbrock(tolerance=1e-8))
+    last = np.inf
+    for tolerance in (1e-4, 1e-6):
+        found = jb.rollout(model, state, ts, solver=ESDIRK(tolerance=tolerance))
+        off = np.abs(found.states.position - expected.states.position).max() / length
+        assert found.code == 0 and found.bond_length_error.max() < 1e-13
+        assert off < 30 * tolerance and off < 0.2 * last
+        last = off
+    few = jb.rollout(dense, state, ts, solver=jb.Rosenbrock(tolerance=1e-6)).steps
+    assert found.steps < 1.5 * few
+
+
+def test_gradients_of_steps_are_those_of_differences():
+    chain, solver = Chain(1.0, (3, 2)), ESDIRK(substeps=3)
+    state = jb.straight(chain, [[1.0, 0.3], [0.2, 1.0]], [[0.0, 0.0], [0.5, 5.0]])
+
+    def height(x):
+        forces = [Weight(x[0] * jnp.array([0.1, -1.0])), Bending(x[1])]
+        model = Scene(chain, 1.0, RPY(dense=False), constraints=[Gears()], forces=forces)
+        end = jb.rollout(model, state, [0.0, 60.0], solver=solver).final.position
+        return jnp.sum(end[:, 1] * jnp.arange(5.0))
+
+    x = jnp.array([1.0, 30.0])
+    reverse = jax.jit(jax.grad(height), compiler_options=FAST)(x)
+    forward = jax.jit(jax.jacfwd(height), compiler_options=FAST)(x)
+    value = jax.jit(height, compiler_options=FAST)
+    for k in range(2):
+        step = 1e-4 * x[k] * jnp.eye(2)[k]
+        slope = (value(x + step) - value(x - step)) / (2e-4 * x[k])
+        assert abs(reverse[k] / slope - 1) < 1e-6 and abs(forward[k] / slope - 1) < 1e-6
