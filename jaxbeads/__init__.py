@@ -21,6 +21,7 @@ from . import observables as observables
 from . import pairs as pairs
 from . import scenes as scenes
 from . import solver as solver
+from . import stress as stress
 from . import tensors as tensors
 from .breakdown import SimulationError as SimulationError
 from .cache import enable_cache as enable_cache

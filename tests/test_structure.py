@@ -38,7 +38,7 @@ ORDER = [
     {"instant"},
     {"dynamics"},
     {"loads"},
-    {"linearise", "stages", "observables", "faults"},
+    {"linearise", "stages", "observables", "stress", "faults"},
     {"solver", "steady"},
     {"solution"},
     {"rollout"},
