@@ -145,7 +145,7 @@ def _write(
         figure.savefig(written[-1])
     kinds = (".gif", ".mp4") if plot.can_encode() else (".gif",)
     paths = [folder / f"{ready.name}{kind}" for kind in kinds]
-    return [*written, *plot.movies(solution, chain, paths, view=view)]
+    return [*written, *plot.movies(ready.filmed(solution), chain, paths, view=view)]
 
 
 def _text(value: Value) -> str:
@@ -236,7 +236,7 @@ def _main(words: list[str] | None) -> int:
     if arguments.scene is None:
         print("Scenes (python -m jaxbeads SCENE --help shows a scene's options):")
         for ready in SCENES:
-            print(f"  {ready.name:<16}{ready.summary}")
+            print(f"  {ready.name:<18}{ready.summary}")
         return 0
     jax.config.update("jax_enable_x64", True)  # a program of its own may choose; a library may not
     if not arguments.no_cache:

@@ -458,3 +458,125 @@ def test_states_are_differentiable_through_observables():
         lambda x: jnp.sum(observables.bond_length_error(x, chain)),
     ):
         assert np.all(np.isfinite(jax.grad(function)(flat)))
+
+
+@pytest.mark.parametrize("fibres, seed", [(1, 0), (8, 0), (8, 5), (20, 1)])
+def test_fibres_of_a_cloud_start_apart_on_a_lattice(fibres, seed):
+    case = scenes.cloud(fibres, 6, spacing=0.8, seed=seed, radius=0.5)
+    chain, position = case.scene.chain, np.asarray(case.state.position)
+    assert chain.fibres == (6,) * fibres and position.shape == (6 * fibres, 3)
+    side = {1: 1, 8: 2, 20: 3}[fibres]  # 20 of 27 sites
+    sites = np.asarray(chain.centres(case.state.position)) / (0.8 * 6) + 0.5 * (side - 1)
+    assert np.abs(sites - np.round(sites)).max() < 1e-12
+    assert len({tuple(site) for site in np.round(sites).astype(int)}) == fibres
+    assert sites.min() > -1e-9 and sites.max() < side - 1 + 1e-9
+    apart = np.linalg.norm(position[:, None] - position[None], axis=2)
+    other = chain.fibre_of_bead[:, None] != chain.fibre_of_bead
+    assert np.min(apart[other], initial=np.inf) >= 3 * 0.5
+    bonds = observables.bond_length_error(case.state.position, chain)
+    assert np.abs(bonds).max() < 1e-12
+    again = scenes.cloud(fibres, 6, spacing=0.8, seed=seed, radius=0.5).state.position
+    assert np.array_equal(again, position)
+    assert not np.array_equal(scenes.cloud(fibres, 6, spacing=0.8, seed=9).state.position, position)
+
+
+@pytest.mark.parametrize(
+    "build, words",
+    [
+        (lambda: scenes.cloud(8, 6, spacing=0.2), "`spacing` must be larger, but at 0.2 none of"),
+        (lambda: scenes.cloud(0), "`fibres` must be at least 1, but it is 0"),
+        (lambda: scenes.cloud(2, 2), "`beads` must be at least 3, but it is 2"),
+        (lambda: scenes.cloud(2, 4, -1.0), "`elasto_gravitational` must be positive"),
+        (lambda: scenes.cloud(2, 4, seed=-1), "`seed` must be at least 0"),
+        (lambda: scenes.shear_suspension(2, 4, 0.0), "`bending_ratio` must be positive"),
+        (lambda: scenes.shear_suspension(8, 9, spacing=0.1), "`spacing` must be larger"),
+    ],
+)
+def test_clouds_and_suspensions_that_cannot_be(build, words):
+    with pytest.raises(ValueError, match=words):
+        build()
+
+
+def test_a_cloud_of_one_stiff_fibre_falls_as_a_rod():
+    # V = A F of a rigid rod, however it is turned; it does not turn (odd beads do not counter-rotate).
+    case = scenes.cloud(1, 5, 1e-4, seed=3)
+    found = measured("cloud", case)
+    chain, position = case.scene.chain, np.asarray(case.state.position)
+    flat = straight(chain, [1.0, 0.0]).position
+    along, across = np.diag(observables.rigid_resistance(flat, chain))[:2]
+    steep = (position[-1, 1] - position[0, 1]) ** 2 / 8.0**2
+    assert 0.1 < steep < 0.9
+    assert abs(found["speed"] - (1 + (across / along - 1) * steep)) < 1e-4
+    assert found["spread"] is None and found["spread_lateral"] is None
+    assert found["smallest_gap"] is None
+
+
+def test_a_cloud_falls_faster_than_one():
+    case = scenes.cloud(4, 5, 100.0, 0.8, radius=0.5, seed=2)
+    run = case.simulate(progress=False)
+    found = BY_NAME["cloud"].observables(case, run)
+    rough = measured("cloud", case, tolerance=1e-5)
+    assert all(abs(found[name] - rough[name]) < 1e-3 for name in found)
+    assert found["speed"] > 1.2
+    # By hand, from the saved shapes.
+    x = np.asarray(run.states.position).reshape(-1, 4, 5, 3)
+    centres = x.mean(axis=2) - x.mean(axis=(1, 2))[:, None]
+    spread = [np.sqrt(np.mean(centres[k, :, 1] ** 2)) for k in (0, -1)]
+    assert abs(found["spread"] - spread[1] / spread[0]) < 1e-12
+    spread = [np.sqrt(np.mean(centres[k, :, 0] ** 2 + centres[k, :, 2] ** 2)) for k in (0, -1)]
+    assert abs(found["spread_lateral"] - spread[1] / spread[0]) < 1e-12
+    gaps = [
+        np.linalg.norm(x[:, i, :, None] - x[:, j, None], axis=3).min() / 0.5 - 2
+        for i in range(4)
+        for j in range(i)
+    ]
+    assert abs(found["smallest_gap"] - min(gaps)) < 1e-12
+    assert min(gaps) > -0.2  # contact keeps them apart
+    # Two lengths of fall of one alone: V_s = F/gamma_0.
+    chain = Chain(0.5, 5)
+    flat = straight(chain, [1.0, 0.0]).position
+    alone = 5 / float(observables.rigid_resistance(flat, chain)[1, 1])
+    assert abs(case.ts[-1] * alone / 10 - 1) < 1e-12
+    fall = (x[0, :, :, 1].mean() - x[-1, :, :, 1].mean()) / 5
+    assert fall > 2 and abs(fall / 2 - found["speed"]) < 0.2
+
+
+def test_a_suspension_of_one_stiff_fibre_follows_jeffery():
+    case = scenes.shear_suspension(1, 5, 30.0, seed=1, shear_rate=2.0)
+    run = case.simulate(progress=False)
+    found = BY_NAME["shear-suspension"].observables(case, run)
+    # dp/dt = W p + Lambda (E p - p p.E p) by Runge-Kutta steps. A rigid rod across the flow turns at
+    # rate (1 + Lambda)/2.
+    strain, turn = np.zeros((2, 3, 3))
+    strain[0, 1] = strain[1, 0] = turn[0, 1] = 1.0
+    turn[1, 0] = -1.0
+    rigid = scenes.jeffery(5, shear_rate=2.0)
+    first = dynamics.motion(0.0, straight(rigid.scene.chain, [0.0, 1.0]), rigid.scene).velocity
+    shape = float(first[-1, 0] - first[0, 0]) / 8.0 - 1.0
+
+    def rate(p):
+        return turn @ p + shape * (strain @ p - p * (p @ strain @ p))
+
+    ends = np.asarray(run.states.position[:, -1] - run.states.position[:, 0])
+    p, step, path = ends[0] / 8.0, (case.ts[1] - case.ts[0]) / 4, []
+    for k in range(4 * len(case.ts) - 3):
+        if k % 4 == 0:
+            path.append(p)
+        a = rate(p)
+        b = rate(p + step / 2 * a)
+        c = rate(p + step / 2 * b)
+        p = p + step / 6 * (a + 2 * b + 2 * c + rate(p + step * c))
+    path = np.array(path)
+    # The fibre is nearly rigid: 0.1 % of softness.
+    assert np.abs(ends / 8.0 - path).max() < 0.01
+    x, y = path[200:, 0], path[200:, 1]
+    by_hand = [np.trapezoid(z) / 200 for z in (x * x, y * y, x * y)]
+    assert np.abs(np.array(found["moments"]) - by_hand).max() < 2e-3
+    assert 0 <= found["curvature"] < 0.05
+    # The mean of the stress, from every fifth instant.
+    late = jax.tree.map(lambda x: x[200::5], run.states)
+    stress = jax.vmap(lambda s: jb.stress.particle_stress(0.0, s, case.scene)[0])(late)
+    mean = np.trapezoid(stress, axis=0) / 40 / (2 * 10**3)
+    assert abs(found["shear_stress"] - mean[0, 1]) < 1e-4
+    assert abs(found["normal_stress"] - (mean[0, 0] - mean[1, 1])) < 1e-4
+    assert found["shear_stress"] > 5 * 20 * np.pi / 3 / 2 / 10**3  # more than that of its beads

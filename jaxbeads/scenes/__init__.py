@@ -2,10 +2,11 @@
 
 Passive fibres: `jeffery`, `shear`, `settling`, `relaxation`; driven ones: `planar_beating`,
 `helical_beating`, `follower_force`; swimmers: `nematode`, `nematode_pair`, `spiral`,
-`three_sphere`; at a no-slip wall: `cilium`, `cilia_row`, `settling_wall`, `nematode_wall`. Each
-returns a `Case` (scene, state, times and how to step); `case.simulate()` runs it. A new one is a
-file here and a line below: the shell (`python -m jaxbeads`) and the tests of all scenes find its
-`ReadyMade`. `GEARS`, `JOINT` and `SPRING` are bead models that may be exchanged for one another.
+`three_sphere`; at a no-slip wall: `cilium`, `cilia_row`, `settling_wall`, `nematode_wall`; many
+fibres in space: `cloud`, `shear_suspension`. Each returns a `Case` (scene, state, times and how to
+step); `case.simulate()` runs it. A new one is a file here and a line below: the shell
+(`python -m jaxbeads`) and the tests of all scenes find its `ReadyMade`. `GEARS`, `JOINT` and
+`SPRING` are bead models that may be exchanged for one another.
 """
 
 from .beating import *
@@ -19,6 +20,7 @@ from .relaxation import *
 from .settling import *
 from .shear import *
 from .spiral import *
+from .suspension import *
 from .three_sphere import *
 
 SCENES: tuple[ReadyMade, ...] = tuple(

@@ -93,7 +93,8 @@ class ReadyMade:
     - `quick`: options with which it runs in seconds, as the shell takes them.
     - `stretch`: factor on the deflection in pictures.
     - `co_moving`: whether pictures follow the fibre's centre; by default if there is no flow.
-    - `shown`: part of a run of which shapes are drawn, as `last_period`; all of it by default.
+    - `shown`: part of a run of which shapes are drawn, as `last_period`; all of it by default;
+      `filmed`: the same of the movie.
 
     >>> from jaxbeads import scenes
     >>> ready = scenes.SETTLING
@@ -115,6 +116,7 @@ class ReadyMade:
     stretch: float = 1.0
     co_moving: bool | None = None
     shown: Callable[[Solution], Solution] = lambda solution: solution
+    filmed: Callable[[Solution], Solution] = lambda solution: solution
 
 
 SAMPLES = 40
