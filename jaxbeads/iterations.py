@@ -80,7 +80,7 @@ class Accelerated(NamedTuple):
     """What accelerated iterations found."""
 
     solution: Float[Array, " numbers"]
-    """NaN if they did not converge."""
+    """Also where they did not converge."""
     converged: Bool[Array, ""]
     iterations: Int[Array, ""]
 
@@ -126,5 +126,4 @@ def accelerated(
     none = jnp.zeros((DEPTH, count), dtype)
     first = start, start, start, none, none, jnp.asarray(jnp.finfo(dtype).max, dtype)
     z, *_, size, number = lax.while_loop(unfinished, body, (*first, jnp.zeros((), int)))
-    converged = size <= enough
-    return Accelerated(jnp.where(converged, z, jnp.nan), converged, number)
+    return Accelerated(z, size <= enough, number)

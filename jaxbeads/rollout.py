@@ -15,6 +15,7 @@ from ._checks import described, fail, increasing, known
 from ._typing import float_array, with_all_digits
 from .dynamics import constraint_residual
 from .loops import linked
+from .mobility import AbstractMobility
 from .outcome import Outcome
 from .scene import Scene, check
 from .solution import Solution, name_number
@@ -31,15 +32,19 @@ Tolerance = Float[Array, ""] | float
 _BOND_TOLERANCE = 0.01
 _LAW_TOLERANCE = 0.01
 _LEAST_STEP = 100
+_MANY = 100
+"""Beads of several fibres from which on `ESDIRK` is the default."""
 
 
 def default_solver(scene: Scene) -> AbstractSolver:
     """`Tsit5` if no force of the scene is stiff; otherwise `Rosenbrock`, or `ESDIRK` where the mobility
-    is not dense.
+    is not dense, and for several fibres of many beads in all.
     """
     if not any(force.stiff for force in scene.forces):
         return Diffrax(diffrax.Tsit5())
-    return Rosenbrock() if scene.dense else ESDIRK()
+    several = len(scene.chain.fibres) > 1 and scene.chain.beads >= _MANY
+    in_parts = type(scene.mobility).tables is not AbstractMobility.tables
+    return ESDIRK() if not scene.dense or several and in_parts else Rosenbrock()
 
 
 def solver_for(
@@ -187,7 +192,7 @@ def rollout(
     - `solver`: with its own options, as `Rosenbrock(tolerance=1e-8)`, `AB3(substeps=50)` or
       `Diffrax(diffrax.Tsit5(), projected=False)`; see `solver.AbstractSolver`. A bare `diffrax` solver
       has the usual ones. By default what the scene needs: `Rosenbrock` if a force is stiff (`ESDIRK`
-      where the mobility is not dense), otherwise `diffrax.Tsit5`.
+      for several fibres of 100 beads in all, and above 1000 beads), otherwise `diffrax.Tsit5`.
     - `tolerance`: short for that solver's: largest error of a step, as a fraction of the longest fibre's
       length; by default 1e-6 (float32: 1e-4). The error over a path is of the same size where
       neighbouring paths converge.

@@ -108,6 +108,9 @@ class Near(eqx.Module):
     """That at x."""
     chart: AbstractCoordinates
     scene: Scene
+    ahead: Float[Array, ""]
+    """g."""
+    multipliers: Float[Array, " rows"]
     parts: AbstractParts
     system: Iterations | None
     inverse: Float[Array, "fibres size size"] | None
@@ -115,18 +118,28 @@ class Near(eqx.Module):
 
     def answer(self, off: Unknowns, implicit: Array) -> Unknowns:
         """Change of the unknowns that takes away what the equations are off."""
-        rate, pushed = off.rate, off.multipliers
-        if self.system is not None:
-            pushed = -self.system.precondition(off.multipliers)
-            rate = rate - self._pulled(pushed)
-        return Unknowns(-self._held(rate, implicit, False), pushed)
+        if self.system is None:
+            return Unknowns(-self._held(off.rate, implicit, False), off.multipliers)
+        pushed = -self.system.precondition(off.multipliers)
+        rate = -self._held(off.rate - self._pulled(pushed), implicit, False)
+        if self.inverse is not None:
+            slip = self._linear(self._stiff(jnp.where(implicit, rate, 0.0)))
+            pushed = pushed - self.system.precondition(slip)
+        return Unknowns(rate, pushed)
 
     def transposed(self, of: Unknowns, implicit: Array) -> Unknowns:
         """The transpose of `answer`."""
-        rate, slip = self._held(of.rate, implicit, True), of.multipliers
-        if self.system is not None:
-            slip = -self.system.precondition(slip + self._transposed_pull(rate))
-        return Unknowns(-rate, slip)
+        rate, slip = of
+        if self.system is None:
+            return Unknowns(-self._held(rate, implicit, True), slip)
+        if self.inverse is not None:
+            push = self._pull_motion(self.system.precondition(slip))
+            (back,) = jax.linear_transpose(self._stiff, rate)(push)
+            rate = rate - jnp.where(implicit, back, 0.0)
+        rate = self._held(rate, implicit, True)
+        (motion,) = jax.linear_transpose(self._rate, self._still)(rate)
+        moved = self.parts.motion(Load(motion.velocity, motion.spin), self._still)
+        return Unknowns(-rate, -self.system.precondition(slip + self._linear(moved)))
 
     def _held(self, rate: Array, implicit: Array, transposed: bool) -> Array:
         """D^-1, or its transpose, in an implicit stage; otherwise 1."""
@@ -149,24 +162,35 @@ class Near(eqx.Module):
     def _still(self) -> Motion:
         return zero_motion(self.state, self.scene.rotational)
 
+    def _linear(self, motion: Motion) -> Array:
+        """J V."""
+        return constraint_map(self.t, self.state, self.scene).linear(motion)
+
+    def _pull_motion(self, multipliers: Array) -> Motion:
+        """J^T lambda, as a motion."""
+        load = constraint_map(self.t, self.state, self.scene).pull(multipliers)
+        return Motion(jnp.asarray(load.force), load.torque)
+
     def _pulled(self, multipliers: Array) -> Array:
         """T M' J^T lambda."""
-        j = constraint_map(self.t, self.state, self.scene)
-        return self._rate(self.parts.motion(j.pull(multipliers), self._still))
+        load = constraint_map(self.t, self.state, self.scene).pull(multipliers)
+        return self._rate(self.parts.motion(load, self._still))
 
-    def _transposed_pull(self, rate: Array) -> Array:
-        """J M' T^T k."""
-        j = constraint_map(self.t, self.state, self.scene)
-        (motion,) = jax.vjp(self._rate, self._still)[1](rate)
-        return j.linear(self.parts.motion(Load(motion.velocity, motion.spin), self._still))
+    def _load(self, x: Array) -> Load:
+        """F + J^T lambda, with lambda held."""
+        return _load(self.t, x, self.multipliers, self.chart, self.scene)
 
-    def columns(self, multipliers: Array) -> Float[Array, "fibres size size"] | None:
+    def _stiff(self, rate: Array) -> Motion:
+        """g M' dF/dx k."""
+        push = jax.jvp(self._load, (self.x,), (self.ahead * rate,))[1]
+        return self.parts.motion(push, self._still)
+
+    def columns(self) -> Float[Array, "fibres size size"] | None:
         """W' fibre by fibre, in units of the coordinates: derivatives by the first number of each fibre
         at once, by the second of each, and so on.
         """
         chart, scene, numbers = self.chart, self.scene, _numbers(self.chart)
-        of_load = eqx.Partial(_load, self.t, multipliers=multipliers, chart=chart, scene=scene)
-        load, push = jax.linearize(of_load, self.x)
+        load, push = jax.linearize(self._load, self.x)
         if load.force is None and load.torque is None:
             return None
 
@@ -204,8 +228,8 @@ def near(
     state = chart.state(x)
     system = iterations(t, state, scene) if scene.constraints else None
     part = parts(state, scene.operator(state), scene.chain)
-    found = Near(t, x, state, chart, scene, part, system, None)
-    columns = found.columns(guess)
+    found = Near(t, x, state, chart, scene, ahead, guess, part, system, None)
+    columns = found.columns()
     if columns is None:
         return found
     unit = jnp.eye(columns.shape[1], dtype=columns.dtype)
@@ -319,7 +343,9 @@ def _stage_jvp(primals: Any, tangents: Any) -> tuple[Found, Found]:
         none = jnp.zeros_like(rhs)
         first = step(none)[1]
         least = 1e-10 if jnp.finfo(none.dtype).eps < 1e-9 else 1e-4
-        return ravel_pytree(scale.parted(accelerated(step, none, least * first).solution))[0]
+        found = accelerated(step, none, least * first)
+        numbers = jnp.where(found.converged, found.solution, jnp.nan)
+        return ravel_pytree(scale.parted(numbers))[0]
 
     backward = _Scale(1 / scale.rate, 1 / scale.multipliers)
     answer = lax.custom_linear_solve(

@@ -210,7 +210,7 @@ for tolerance in (1e-4, 1e-6, 1e-8):
 # %% [markdown]
 # ### How do I choose the solver?
 #
-# Leave it out: stiff scenes get `Rosenbrock` (above 1000 beads `ESDIRK`, which needs no matrix of the
+# Leave it out: stiff scenes get `Rosenbrock` (large ones `ESDIRK`, which needs no matrix of the
 # whole), others `diffrax.Tsit5`. `AB3` is the explicit scheme of
 # the paper, with equal steps; `substeps=` is short for it. An explicit step must resolve the fastest
 # bending: `solver.explicit_step` is eq. (39) of the paper, and AB3 is stable to about 2.2 times it. Any
@@ -228,8 +228,8 @@ assert apart < 1e-5
 # ### How do I run many fibres?
 #
 # Above 1000 beads no matrix of all of them is kept, and the default solver is `ESDIRK`: its stages are
-# iterated, a product with the mobility at a time. For several fibres it is worth choosing below that,
-# too; errors over a path are about ten times its tolerance.
+# iterated, a product with the mobility at a time. For several fibres it is the default from 100 beads
+# on, and worth choosing below that; errors over a path are about ten times its tolerance.
 
 # %%
 many = jb.Chain(radius=1.0, fibres=[6, 4, 5])

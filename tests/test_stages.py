@@ -45,7 +45,7 @@ def test_accelerated_iterations():
     at_once = accelerated(lambda z: (0 * z, jnp.zeros(())), jnp.ones(3), jnp.asarray(0.0))
     assert at_once.iterations == 1 and (at_once.solution == 1).all()
     none = accelerated(lambda z: (1 + z**2, jnp.max(1 + z**2)), jnp.ones(1), jnp.asarray(1e-9))
-    assert not none.converged and np.isnan(none.solution).all()
+    assert not none.converged
 
 
 def solve(base, h, ahead, chart, model):

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +13,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int, PyTree
 
 from ..coordinates import coordinates
+from ..geometry import norm
 from ..saddle import slips
 from ..scene import Scene
 from ..stages import Near, Stage, Unknowns, near, solved_stage
@@ -59,8 +61,21 @@ _ERROR = np.array(
 _NOT_FOUND: Any = diffrax.RESULTS.nonlinear_max_steps_reached
 _ENOUGH = 0.1
 """Change of a stage, over the tolerance, below which its iterations end."""
+_MANY = 15
+"""Iterations of a stage at which a step is long enough."""
+_LONGEST, _SHORTER = 2.0, 0.5
+"""How much longer the next step may be, and how long it is where iterations do not converge."""
+_SAFETY = 0.9
+"""That of the controller: the next step over the one that would meet the tolerance."""
 _WITHOUT = 1e-3
 """The tolerance where there is none, over the usual one."""
+
+
+def _at_least(error: State, size: Array) -> State:
+    """An error as large, at its largest, as said."""
+    largest = jnp.max(norm(error.position))
+    factor = lax.stop_gradient(jnp.maximum(1.0, size / jnp.where(largest > 0, largest, 1.0)))
+    return eqx.tree_at(lambda e: e.position, error, error.position * factor)
 
 
 def _guesses() -> np.ndarray:
@@ -145,7 +160,7 @@ class Esdirk(diffrax.AbstractAdaptiveSolver):
             return near(*lax.stop_gradient((t, x, _GAMMA * h, chart, args, multipliers)))
 
         def stage(found: tuple[Any, ...], row: Any) -> tuple[Any, None]:
-            rates, multipliers, fine, products, close = found
+            rates, multipliers, fine, products, most, close = found
             index, a, c, ahead, weights = row
             first = jnp.where(index == 0, before, weights @ multipliers)
             at = Stage(t0 + c * h, h * (a @ rates), h * ahead)
@@ -160,19 +175,27 @@ class Esdirk(diffrax.AbstractAdaptiveSolver):
             rates = rates.at[index].set(solved.unknowns.rate)
             multipliers = multipliers.at[index].set(lax.stop_gradient(solved.unknowns.multipliers))
             fine, products = fine & solved.fine, products + solved.products
-            return (rates, multipliers, fine, products, close), None
+            most = jnp.maximum(most, jnp.where(index > 0, solved.products, 0))
+            return (rates, multipliers, fine, products, most, close), None
 
         none = jnp.zeros((6, len(chart.origin)), dtype), jnp.zeros((6, len(before)), dtype)
         rows = (_A - np.diag(np.diag(_A)), _C, np.diag(_A), _GUESSES)
         table = (jnp.arange(6), *(jnp.asarray(x, dtype) for x in rows))
         # A loop, so that a stage is compiled once.
         close = about(t0, chart.origin, before)
-        first = (*none, jnp.asarray(True), solver_state.products, close)
-        (rates, multipliers, fine, products, _), _ = lax.scan(stage, first, table)
+        first = (*none, jnp.asarray(True), solver_state.products, jnp.zeros((), int), close)
+        found, _ = lax.scan(stage, first, table)
+        rates, multipliers, fine, products, most, _ = found
         x1 = h * (jnp.asarray(_A[5], dtype) @ rates)
         error = h * (jnp.asarray(_ERROR, dtype) @ rates)
         y1, other = chart.state(x1), chart.state(x1 - error)
         off = jax.tree.map(lambda a, b: a - b, y1, other)
+        if self.tolerance is not None:
+            # What iterations find hard is told as an error: the next step is longer by no more than
+            # they allow, and one in which they did not converge is taken again.
+            allowed = jnp.where(fine, jnp.clip(_MANY / most, 0.95, _LONGEST), _SHORTER)
+            least = tolerance * jnp.max(args.chain.length) * (_SAFETY / allowed) ** 4
+            off, fine = _at_least(off, lax.stop_gradient(least)), jnp.asarray(True)
         begin, end = h * rates[0], h * rates[5]
         bend = jnp.stack([begin - x1, 2 * x1 - begin - end])
         dense = {"coordinates": chart, "x1": x1, "bend": bend}
