@@ -12,7 +12,8 @@ sampled beads, whose velocities NumPy sums from the tensors of pairs. Memory is 
 gradient needs beside its arguments; `memory_gib` is the most that the whole process ever had. Exponents
 are slopes of log time over log N from 1000 beads on.
 
-A step of `ESDIRK`, of 0.02 of the time in which a fibre falls by its length: seconds of the step and of
+A step of `ESDIRK`, of 0.02 of the time in which a fibre falls by its length, of a straight fibre of 1000
+beads in the plane and of the bent ones: seconds of the step and of
 one of its stages, products with the mobility in a stage, error of the rates of the coordinates, of the
 largest, against iterations that go on to 1e-11. `stage_s` and `stage_error` are those of 100 fibres of
 100 beads.
@@ -173,12 +174,11 @@ def pushed_ms(fibres: tuple[int, ...]) -> float:
     return median_ms(product, state, scene, load)
 
 
-def stage(fibres: tuple[int, ...]) -> dict[str, float]:
-    """A step of `ESDIRK` from bent fibres at rest in their own flow."""
-    scene, state = suspension(fibres)
-    length, weight = 2.0 * max(fibres), 1.0 * max(fibres)
-    speed = weight / float(scenes.settling_friction(scenes.settling(max(fibres)).scene))
-    h = 0.02 * length / speed
+def stage(scene: jb.Scene, state: jb.State) -> dict[str, float]:
+    """A step of `ESDIRK`."""
+    beads = max(scene.chain.fibres)
+    alone = scenes.settling(beads).scene
+    h = 0.02 * 2.0 * float(scenes.settling_friction(alone))  # 0.02 L/V_s, weight 1 a bead
     chart = eqx.filter_jit(coordinates)(scene, state)
 
     @eqx.filter_jit
@@ -322,7 +322,11 @@ def main() -> None:
     fibres = 20 if arguments.quick else 100
     many = measure((100,) * fibres, False)
     line(f"{fibres} x 100", many)
-    stages = {"1000": stage((1000,)), f"{fibres} x 100": stage((100,) * fibres)}
+    long = scenes.settling(1000, 1000.0)
+    stages = {
+        "1000, planar": stage(long.scene, long.state),
+        f"{fibres} x 100": stage(*suspension((100,) * fibres)),
+    }
     for name, row in stages.items():
         print(f"{name}: a step", json.dumps(row), flush=True)
     fallen = cloud(16, 25, 1e-4) if arguments.quick else cloud(100, 100, 1e-4)

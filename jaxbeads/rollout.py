@@ -44,7 +44,7 @@ def default_solver(scene: Scene) -> AbstractSolver:
         return Diffrax(diffrax.Tsit5())
     several = len(scene.chain.fibres) > 1 and scene.chain.beads >= _MANY
     in_parts = type(scene.mobility).tables is not AbstractMobility.tables
-    return ESDIRK() if not scene.dense or several and in_parts else Rosenbrock()
+    return ESDIRK() if not scene.dense or (several and in_parts) else Rosenbrock()
 
 
 def solver_for(
