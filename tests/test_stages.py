@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from cases import in_units
 from examples import EXAMPLES, springs, swimmers
 
 import jaxbeads as jb
@@ -146,3 +147,14 @@ def test_gradients_of_steps_are_those_of_differences():
         step = 1e-4 * x[k] * jnp.eye(2)[k]
         slope = (value(x + step) - value(x - step)) / (2e-4 * x[k])
         assert abs(reverse[k] / slope - 1) < 1e-6 and abs(forward[k] / slope - 1) < 1e-6
+
+
+def test_units_do_not_matter():
+    model, state = suspension(beads=(5, 4))
+    large = in_units(model, (1e-6, 1e-3, 1e-12))
+    there = jb.State(1e-6 * state.position)
+    solver, ends = ESDIRK(tolerance=1e-5), []
+    for scene, start, end in ((model, state, 50.0), (large, there, 50.0e-3)):
+        run = jb.rollout(scene, start, [0.0, end], solver=solver)
+        ends.append((run.final.position / start.position.max(), int(run.steps)))
+    assert ends[0][1] == ends[1][1] and np.abs(ends[0][0] - ends[1][0]).max() < 1e-6

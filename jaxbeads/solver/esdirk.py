@@ -16,7 +16,7 @@ from ..coordinates import coordinates
 from ..geometry import norm
 from ..saddle import slips
 from ..scene import Scene
-from ..stages import Near, Stage, Unknowns, near, solved_stage
+from ..stages import Near, Stage, Unknowns, near, residual, solved_stage
 from ..state import State, zero_motion
 from .base import AbstractSolver, CubicPath
 from .tolerance import default_tolerance
@@ -183,7 +183,12 @@ class Esdirk(diffrax.AbstractAdaptiveSolver):
         table = (jnp.arange(6), *(jnp.asarray(x, dtype) for x in rows))
         # A loop, so that a stage is compiled once.
         close = about(t0, chart.origin, before)
-        first = (*none, jnp.asarray(True), solver_state.products, jnp.zeros((), int), close)
+        # One iteration more, after which it is known how large multipliers are.
+        unknown = Unknowns(jnp.zeros_like(chart.origin), before)
+        start = lax.stop_gradient(Stage(t0, chart.origin, 0 * h))
+        off = residual(start, unknown, *lax.stop_gradient((chart, args)))
+        before = before + close.answer(off, jnp.asarray(False)).multipliers
+        first = (*none, jnp.asarray(True), solver_state.products + 1, jnp.zeros((), int), close)
         found, _ = lax.scan(stage, first, table)
         rates, multipliers, fine, products, most, _ = found
         x1 = h * (jnp.asarray(_A[5], dtype) @ rates)
