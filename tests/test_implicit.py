@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import FORCES, bent
-from examples import EXAMPLES
+from examples import EXAMPLES, held, spun
 
 import jaxbeads as jb
 from jaxbeads import (
