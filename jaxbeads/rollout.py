@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Float
 
 from ._checks import described, fail, increasing, known
 from ._typing import float_array, with_all_digits
+from .constraint import AbstractChainConstraint
 from .dynamics import constraint_residual
 from .loops import linked
 from .mobility import AbstractMobility
@@ -43,7 +44,12 @@ def default_solver(scene: Scene) -> AbstractSolver:
     if not any(force.stiff for force in scene.forces):
         return Diffrax(diffrax.Tsit5())
     several = len(scene.chain.fibres) > 1 and scene.chain.beads >= _MANY
-    in_parts = type(scene.mobility).tables is not AbstractMobility.tables
+    # Constraints along whole fibres beside the chain's have more rows than iterations carry.
+    in_parts = not any(
+        (c.internal or c.links) and not isinstance(c, AbstractChainConstraint)
+        for c in scene.constraints
+    )
+    in_parts = in_parts and type(scene.mobility).tables is not AbstractMobility.tables
     return ESDIRK() if not scene.dense or (several and in_parts) else Rosenbrock()
 
 

@@ -8,10 +8,9 @@ where V = M (F + J^T lambda) + V_inf + C:E and f is its rate in the coordinates.
 the point reached so far shows how far both equations are off. The answer to that (`Near`) is exact for
 fibres that do not feel one another, with M' of `windows` in place of M, and takes the derivatives of
 the loads, which are all that is stiff: those of M, of J and of the flow made no difference to the number
-of iterations. What is left shrinks by a factor of 5 to 10 each time, and `iterations.accelerated` bends
-the way: a stage takes 5 to 8 products, those for the multipliers included, for any number of fibres.
-Nothing is linearised as a whole, and nothing is iterated within an iteration. Derivatives are those of
-the two equations at the solution.
+of iterations. `iterations.accelerated` bends the way, and how long steps may be follows from how many
+iterations they take (`solver/esdirk.py`). Nothing is linearised as a whole, and nothing is iterated
+within an iteration. Derivatives are those of the two equations at the solution.
 """
 
 from typing import Any, NamedTuple
@@ -284,8 +283,7 @@ def solved_stage(
     change of the step, over the coordinates' units, below which iterations end.
     """
     near, guess, enough = lax.stop_gradient((near, guess, enough))
-    unknowns, fine, products = _stage(stage, h, chart, scene, near, guess, enough)
-    return Found(unknowns, fine, products)
+    return _stage(stage, h, chart, scene, near, guess, enough)
 
 
 @eqx.filter_custom_jvp

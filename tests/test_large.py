@@ -206,6 +206,8 @@ def test_a_large_run_needs_no_matrix():
     assert isinstance(default_solver(model), jb.ESDIRK)
     assert isinstance(default_solver(scene(Chain(1.0, (50, 50)))), jb.ESDIRK)
     assert isinstance(default_solver(scene(Chain(1.0, (50, 49)))), jb.Rosenbrock)
+    equal = scene(Chain(1.0, (50, 50)), constraints=[Gears(), EqualSpins()])
+    assert isinstance(default_solver(equal), jb.Rosenbrock)
     soft = scene(model.chain, forces=[Weight([0.0, -1.0])])
     assert default_solver(soft).name == "Tsit5"
     assert isinstance(default_solver(scene(Chain(1.0, 1000))), jb.Rosenbrock)

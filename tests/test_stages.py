@@ -1,7 +1,8 @@
-"""Implicit steps of scenes of any size: their stages, their derivatives, and what they cost."""
+"""Implicit steps of scenes of any size: their stages, their derivatives, and where they are hard."""
 
 from functools import partial
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +14,7 @@ import jaxbeads as jb
 from jaxbeads import ESDIRK, Chain, Scene
 from jaxbeads.constraint import Gears
 from jaxbeads.coordinates import coordinates
-from jaxbeads.force import Bending, Contact, Weight
+from jaxbeads.force import Bending, Contact, ForceField, Weight
 from jaxbeads.iterations import accelerated
 from jaxbeads.linearise import coordinate_rate
 from jaxbeads.mobility import RPY
@@ -59,7 +60,7 @@ def solve(base, h, ahead, chart, model):
 
 
 def stage(example):
-    """A chart, a base near its start, and a function that solves a stage of it."""
+    """A scene, a chart of it, and a base near the chart's start."""
     model, state = example()
     chart, rng = coordinates(model, state), np.random.default_rng(1)
     return model, chart, 0.01 * jnp.asarray(rng.normal(size=len(chart.origin)))
@@ -158,3 +159,34 @@ def test_units_do_not_matter():
         run = jb.rollout(scene, start, [0.0, end], solver=solver)
         ends.append((run.final.position / start.position.max(), int(run.steps)))
     assert ends[0][1] == ends[1][1] and np.abs(ends[0][0] - ends[1][0]).max() < 1e-6
+
+
+def test_single_precision():
+    model, state = suspension(beads=(4, 3))
+    exact = jb.rollout(model, state, [0.0, 40.0], solver=ESDIRK(tolerance=1e-7)).final.position
+
+    def single(tree):
+        inexact, rest = eqx.partition(tree, eqx.is_inexact_array)
+        return eqx.combine(jax.tree.map(lambda x: x.astype(jnp.float32), inexact), rest)
+
+    for solver in (ESDIRK(tolerance=1e-4), ESDIRK(substeps=8)):
+        run = jb.rollout(
+            single(model), single(state), [0.0, 40.0], solver=solver, single_precision=True
+        )
+        assert run.code == 0 and run.final.position.dtype == jnp.float32
+        assert np.abs(run.final.position - exact).max() < 2e-4 * 8.0
+
+
+@pytest.mark.parametrize("beads", [(1,), (2,), (1, 1), (4, 1, 3)], ids=str)
+def test_few_beads_late_and_far_away(beads):
+    chain = Chain(1.0, beads)
+    rng, there = np.random.default_rng(3), -50.0 + 9.0 * np.arange(len(beads))[:, None] * np.ones(3)
+    state = jb.straight(chain, -np.abs(rng.normal(size=(len(beads), 3))), there)
+    forces = [Weight([0.1, -1.0, 0.3]), Bending(30.0)]
+    forces.append(ForceField(lambda t, x: jnp.where(t > 1e6 + 23.7, 0.5, -0.5) + 0 * x))
+    model = Scene(chain, 1.0, constraints=[Gears()], forces=forces)
+    ts = [1e6, 1e6 + 60.0]
+    found = jb.rollout(model, state, ts, solver=ESDIRK(tolerance=1e-6))
+    expected = jb.rollout(model, state, ts, solver=jb.Rosenbrock(tolerance=1e-8))
+    assert found.code == 0
+    assert np.abs(found.final.position - expected.final.position).max() < 1e-5 * 8.0

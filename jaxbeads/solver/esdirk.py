@@ -151,8 +151,10 @@ class Esdirk(diffrax.AbstractAdaptiveSolver):
         chart, t0 = coordinates(args, y0), jnp.asarray(t0)
         h = t1 - t0
         dtype = y0.position.dtype
-        usual = default_tolerance(dtype)
-        tolerance = usual * _WITHOUT if self.tolerance is None else self.tolerance
+        tolerance = self.tolerance
+        if tolerance is None:
+            rounding = 1000 * float(jnp.finfo(dtype).eps)
+            tolerance = max(_WITHOUT * default_tolerance(dtype), rounding)
         enough = _ENOUGH * jnp.asarray(tolerance, dtype)
         before = lax.stop_gradient(solver_state.multipliers)
 
@@ -198,9 +200,11 @@ class Esdirk(diffrax.AbstractAdaptiveSolver):
         if self.tolerance is not None:
             # What iterations find hard is told as an error: the next step is longer by no more than
             # they allow, and one in which they did not converge is taken again.
-            allowed = jnp.where(fine, jnp.clip(_MANY / most, 0.95, _LONGEST), _SHORTER)
+            allowed = jnp.clip(_MANY / most.astype(dtype), 0.95, _LONGEST)
+            allowed = jnp.where(fine, allowed, _SHORTER)
             least = tolerance * jnp.max(args.chain.length) * (_SAFETY / allowed) ** 4
-            off, fine = _at_least(off, lax.stop_gradient(least)), jnp.asarray(True)
+            off = _at_least(off, lax.stop_gradient(least))
+            fine = fine | (jnp.max(jnp.abs(off.position)) > 0)  # else nothing tells it
         begin, end = h * rates[0], h * rates[5]
         bend = jnp.stack([begin - x1, 2 * x1 - begin - end])
         dense = {"coordinates": chart, "x1": x1, "bend": bend}
