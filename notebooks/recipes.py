@@ -229,7 +229,7 @@ assert apart < 1e-5
 #
 # Above 1000 beads no matrix of all of them is kept, and the default solver is `ESDIRK`: its stages are
 # iterated, a product with the mobility at a time. For several fibres it is the default from 100 beads
-# on, and worth choosing below that; errors over a path are about ten times its tolerance.
+# on, and worth choosing below that; errors over a path are ten to forty times its tolerance.
 
 # %%
 many = jb.Chain(radius=1.0, fibres=[6, 4, 5])

@@ -220,7 +220,7 @@ class ESDIRK(AbstractSolver):
     """Implicit steps for stiff scenes of any size, as `ESDIRK(tolerance=1e-5)`: the scheme `Esdirk`.
 
     For many fibres, and long ones, that `Rosenbrock` cannot hold as one matrix. The error over a path is
-    about ten times the tolerance.
+    ten to forty times the tolerance.
 
     **Arguments**, by name: as for `AbstractSolver`.
 
