@@ -23,6 +23,8 @@ class Configuration(eqx.Module):
     - `viscosity`: mu [force time/length^2].
     - `rotational`: whether spins and torques take part.
     - `domain`: the space that they are in.
+    - `pieces`: how many of the spheres, one after the other, are near to one another, as the beads of
+      fibres are; a hint, on which no more than rounding depends.
 
     >>> import jaxbeads as jb
     >>> beads = jb.Configuration([[0.0, 0.0], [3.0, 0.0]], radius=[1.0, 2.0], viscosity=1.0)
@@ -35,6 +37,7 @@ class Configuration(eqx.Module):
     viscosity: Float[Array, ""] = eqx.field(converter=float_array)
     rotational: bool = eqx.field(static=True, default=True)
     domain: AbstractDomain = Unbounded()
+    pieces: tuple[int, ...] | None = eqx.field(static=True, default=None)
 
     @property
     def beads(self) -> int:
@@ -48,7 +51,7 @@ class Configuration(eqx.Module):
 
     def at(self, position: Float[Array, "beads dim"]) -> "Configuration":
         """The same spheres elsewhere."""
-        return Configuration(position, self.radius, self.viscosity, self.rotational, self.domain)
+        return eqx.tree_at(lambda c: c.position, self, position)
 
     def some(self, beads: Int[Array, " some"]) -> "Configuration":
         """Some of the spheres, as if there were no others."""

@@ -37,5 +37,10 @@ class Setting(eqx.Module):
     def configuration(self, state: State, rotational: bool) -> Configuration:
         """The beads as spheres in the fluid, with spins or without."""
         return Configuration(
-            state.position, self.chain.radius, self.viscosity, rotational, self.domain
+            state.position,
+            self.chain.radius,
+            self.viscosity,
+            rotational,
+            self.domain,
+            self.chain.fibres,
         )

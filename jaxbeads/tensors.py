@@ -7,152 +7,17 @@ results: in single precision the sixth power of a micrometre is not there.
 
 from collections.abc import Callable
 from functools import reduce
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
+from .coefficients import kept_coefficients, separation, strain_coefficients
 from .configuration import Configuration
 from .pairs import CROSS, Field, PairTensor, Radii, Signed, Table
 from .state import Load, Motion, spins
 
 __all__ = ["rpy", "rpy_gradient", "rpy_motion", "shear_disturbance"]
-
-
-class _Separation(NamedTuple):
-    vector: list[Field]  # r_i - r_j
-    distance: Field  # 0 on the diagonal
-    inverse: Field  # 1 / distance, 0 where the distance is 0
-
-
-@jax.custom_jvp
-def _root(square: Field) -> Field:
-    """A square root without a slope at 0, where two beads are in the same place."""
-    return jnp.sqrt(square)
-
-
-@_root.defjvp
-def _root_jvp(primals: tuple[Field], tangents: tuple[Field]) -> tuple[Field, Field]:
-    root = _root(*primals)
-    zero = root == 0
-    # XLA: a division, as in `_coefficients`: in reverse, all that depends on r is summed once.
-    return root, jnp.where(zero, 0.0, tangents[0]) / jnp.where(zero, 1.0, 2 * root)
-
-
-def _inverse(distance: Field) -> Field:
-    zero = distance == 0
-    return jnp.where(zero, 0.0, 1.0) / jnp.where(zero, 1.0, distance)
-
-
-def _separation(vector: list[Field]) -> _Separation:
-    distance = _root(sum(d * d for d in vector))
-    return _Separation(vector, distance, _inverse(distance))
-
-
-class _Scalars(NamedTuple):
-    """Coefficients of I, dd, d x, with d = r_i - r_j (not normalised)."""
-
-    tt1: Array
-    tt2: Array
-    tr: Array  # v_i = tr T_j x d
-    rt: Array  # w_i = rt F_j x d
-    rr1: Array
-    rr2: Array
-
-
-def _factors(length: Array) -> tuple[Array, Array, Array]:
-    """1/(6 pi a), 1/(8 pi a^2), 1/(8 pi a^3)."""
-    one = 1 / length  # first: the derivative of 1/a^3 as a quotient holds a^-6
-    return one / (6 * np.pi), one * one / (8 * np.pi), one * one * one / (8 * np.pi)
-
-
-def _equal(s: _Separation, factors: tuple[Array, Array, Array]) -> _Scalars:
-    # On the diagonal the overlap branch at distance 0 is the mobility of a single sphere.
-    x, ix = s.distance, s.inverse
-    y = jnp.minimum(ix, 0.5)  # 1/x of separate spheres; bounded where the other branch holds
-    y2, y3 = y * y, y * y * y
-    near = x <= 2
-    six, cross, eight = factors
-    tr = cross * jnp.where(near, 0.5 - 3 * x / 16, y3)
-    return _Scalars(
-        tt1=six * jnp.where(near, 1 - 9 * x / 32, 0.75 * y + 0.5 * y3),
-        tt2=six * jnp.where(near, 3 * ix / 32, (0.75 - 1.5 * y2) * y3),
-        tr=tr,
-        rt=tr,
-        rr1=eight * jnp.where(near, 1 - 27 * x / 32 + 5 * x * x * x / 64, -0.5 * y3),
-        rr2=eight * jnp.where(near, 9 * ix / 32 - 3 * x / 64, 1.5 * y2 * y3),
-    )
-
-
-class _Overlap(NamedTuple):
-    """Spheres that overlap. By the ratio q all is regular, also where equal ones are in one place."""
-
-    r: Array  # distance; that of contact where they do not overlap
-    inverse: Array
-    q: Array  # (a - b)/r, in [-1, 1]
-
-    def rr(self, a: Array, b: Array) -> tuple[Array, Array]:
-        """Coefficients of I and of the unit dyad in rr, times 8 pi (a b)^3."""
-        r, u = self.r, self.q * self.q
-        one = 5 * r**2 - 27 * (a**2 + b**2) - 9 * u * (a + b) ** 2
-        s = a**2 + 4 * a * b + b**2
-        one = 32 * (a**3 + b**3) + r * (one - u * u * s)
-        return one / 64, 3 * r * (1 - u) ** 2 * (s - r * r) / 64
-
-    def rt(self, a: Array, b: Array, q: Array) -> Array:
-        """rt times 8 pi: spin of the sphere of radius a, force on that of radius b, q = (a - b)/r."""
-        return (1 + q) ** 2 * (6 * a + 2 * b - 3 * self.r - q * (3 * a + b)) / (16 * a**3 * b)
-
-
-def _distances(s: _Separation, a: Array, b: Array) -> tuple[Array, Array, _Overlap, Array]:
-    """Whether one sphere is within the other (also the diagonal); whether they meet at all; those that
-    overlap; inverse distance of those that do not, a regular value elsewhere.
-    """
-    inside, near, touching = s.distance <= jnp.abs(a - b), s.distance <= a + b, a + b
-    r = jnp.where(near & ~inside, s.distance, touching)
-    inverse = 1 / r
-    overlap = _Overlap(r, inverse, (a - b) * inverse)
-    return inside, near, overlap, 1 / jnp.where(near, touching, s.distance)
-
-
-def _unequal(s: _Separation, a: Array, b: Array, factors: tuple[Array, Array, Array]) -> _Scalars:
-    inside, near, o, y = _distances(s, a, b)
-    big, y2 = jnp.maximum(a, b), y * y
-    y3, u = y2 * y, o.q * o.q
-    m, q, sq = 1 / (a * b), 1 / (a * b) ** 3, a**2 + b**2
-    rr1, rr2 = o.rr(a, b)
-
-    def choose(factor: Array, within: Array | float, overlap: Array, apart: Array) -> Array:
-        return factor * jnp.where(inside, within, jnp.where(near, overlap, apart))
-
-    six, cross, eight = factors
-    return _Scalars(
-        tt1=choose(
-            six,
-            1 / big,
-            m * (0.5 * (a + b) - o.r * (3 + u) ** 2 / 32),
-            y * (0.75 + sq * y2 / 4),
-        ),
-        tt2=choose(six, 0.0, m * 3 / 32 * (1 - u) ** 2 * o.inverse, 0.75 * y3 * (1 - sq * y2)),
-        tr=choose(cross, jnp.where(b > a, 1 / b**3, 0.0), o.rt(b, a, -o.q), y3),
-        rt=choose(cross, jnp.where(a > b, 1 / a**3, 0.0), o.rt(a, b, o.q), y3),
-        rr1=choose(eight, 1 / big**3, q * rr1, -0.5 * y3),
-        rr2=choose(eight, 0.0, q * rr2 * (o.inverse * o.inverse), 1.5 * y2 * y3),
-    )
-
-
-def _coefficients(
-    vector: list[Field], radii: Radii | None, length: Array, viscosity: Array
-) -> _Scalars:
-    """The coefficients of each pair, of separations in units of a length."""
-    s, factors = _separation(vector), _factors(length)
-    k = _unequal(s, *radii, factors) if isinstance(radii, tuple) else _equal(s, factors)
-    # XLA: each ends in a division; on the CPU it computes what looks cheap anew wherever it is read, but
-    # never a division.
-    tt1, tt2, tr, rt, rr1, rr2 = (x / viscosity for x in k)
-    return _Scalars(tt1, tt2, tr, tr if k.rt is k.tr else rt, rr1, rr2)
 
 
 def rpy(configuration: Configuration) -> PairTensor:
@@ -175,7 +40,7 @@ def rpy(configuration: Configuration) -> PairTensor:
     """
     scaled = configuration.scaled
     vector, radii = scaled.pairs()
-    k = _coefficients(vector, radii, scaled.length, configuration.viscosity)
+    k = kept_coefficients(vector, radii, scaled.length, configuration.viscosity)
     dim, turns = len(vector), spins(len(vector))
     tt = _dyads(k.tt1, k.tt2, vector)
     if not configuration.rotational:
@@ -224,7 +89,7 @@ def pushed(
     load: Load,
 ) -> tuple[Field, ...]:
     """What the load on bead j adds to each component of velocity and spin of bead i: fields."""
-    k = _coefficients(vector, radii, length, viscosity)
+    k = kept_coefficients(vector, radii, length, viscosity)
     dim, turns = len(vector), spins(len(vector))
     force = None if load.force is None else list(load.force.T[:, None, :])
     torque = None if load.torque is None else list(load.torque.T[:, None, :])
@@ -259,35 +124,6 @@ def _dyads(one: Array, two: Array, vector: list[Field]) -> Table:
             field = two * (vector[i] * vector[j])
             fields[i, j] = fields[j, i] = field + one if i == j else field
     return tuple(tuple(fields[i, j] for j in range(dim)) for i in range(dim))
-
-
-def _strain_equal(s: _Separation) -> tuple[Array, Array, Array]:
-    x, ix = s.distance, s.inverse
-    y = jnp.minimum(ix, 0.5)
-    y2, y3 = y * y, y * y * y
-    near = x <= 2
-    c1 = jnp.where(near, -0.5 + 5 * x / 24, -8 / 3 * y2 * y3)
-    c2 = jnp.where(near, -5 * ix / 96, (20 / 3 * y2 - 2.5) * y2 * y3)
-    cr = jnp.where(near, (5 * x * x - 30) * ix / 64, -2.5 * y2 * y3)
-    return c1, c2, cr
-
-
-def _strain_unequal(s: _Separation, a: Array, b: Array) -> tuple[Array, Array, Array]:
-    inside, near, o, y = _distances(s, a, b)
-    q, u, sq, y2 = o.q, o.q * o.q, 5 * a**2 + 3 * b**2, y * y
-    far, part = b**3 * (y2 * y2 * y), (1 - u) ** 2 * o.inverse
-    c1_near = 10 * o.r - 24 * a + 15 * q * (a + b) - q * u * u * (a + 5 * b)
-    c2_near = 5 * part * (q * o.inverse * (a + 5 * b) - 1)
-    cr_near = -5 * part * (a**2 + 4 * a * b + b**2 - o.r * o.r) / (64 * a**3)
-    c1 = jnp.where(near, c1_near / (48 * a), -far * sq / 3)
-    c2 = jnp.where(near, c2_near / (96 * a), far * (5 * sq * y2 - 15) / 6)
-    cr = jnp.where(near, cr_near, -2.5 * far)
-    within = jnp.where(b > a, -1.0, 0.0)
-    return (
-        jnp.where(inside, within, c1),
-        jnp.where(inside, 0.0, c2),
-        jnp.where(inside, 0.0, cr),
-    )
 
 
 def shear_disturbance(
@@ -326,8 +162,8 @@ def strained(
     rotational: bool,
 ) -> tuple[Field, ...]:
     """What the strain at bead j adds to each component of velocity and spin of bead i: fields."""
-    s, dim, d = _separation(vector), len(vector), vector
-    c1, c2, cr = _strain_unequal(s, *radii) if isinstance(radii, tuple) else _strain_equal(s)
+    s, dim, d = separation(vector), len(vector), vector
+    c1, c2, cr = strain_coefficients(s, radii)
     strain_rate, cr = strain_rate * length, cr / length  # the tensor is small, a field is not
     # One tensor: numbers; one for each bead: rows along j.
     rows = strain_rate if strain_rate.ndim == 2 else strain_rate[None]

@@ -149,7 +149,7 @@ import json, re
 import jax, jax.numpy as jnp, numpy as np
 jax.config.update("jax_enable_x64", True)
 import jaxbeads as jb
-from jaxbeads import tensors
+from jaxbeads import coefficients, tensors
 from jaxbeads.constraint import base
 from jaxbeads.factors import diagonal
 from jaxbeads.pairs import separations
@@ -169,11 +169,13 @@ def work():
     return count("multiply", rate, state, scene)
 
 def without(vector, radii, length, viscosity):
-    s, factors = tensors._separation(vector), tensors._factors(length)
-    return tensors._Scalars(*(x * viscosity for x in tensors._equal(s, factors)))
+    six, cross, eight = coefficients.factors(length)
+    k = coefficients.coefficients(vector, radii)
+    units = [six, six, cross, cross, eight, eight]
+    return coefficients.Scalars(*(x * unit * viscosity for x, unit in zip(k, units)))
 
 found = {"quotients": work()}
-tensors._coefficients = without
+tensors.kept_coefficients = without
 jax.clear_caches()
 found["no quotients"] = work()
 
@@ -206,7 +208,7 @@ def counts():
 def test_a_quotient_is_computed_once(counts):
     assert counts["quotients"] < 0.75 * counts["no quotients"], (
         "XLA computes quotients again wherever they are read, or products no more: `_coefficients` in "
-        f"tensors.py need not end in divisions ({counts})."
+        f"coefficients.py need not end in divisions ({counts})."
     )
 
 

@@ -1,0 +1,214 @@
+"""M F of many beads, Rotne-Prager-Yamakawa: neighbours along the chain by the formulas for all
+distances, others by those of separate spheres, as matrix products.
+
+With positions x from a bead nearby, sum_j g_ij (x_i - x_j) = x_i sum_j g_ij - sum_j g_ij x_j: a field g
+is made once, and one matrix product finds all that it does to velocities and spins. Where beads overlap
+that are no neighbours, their block goes back to the formulas for all distances.
+
+In single precision, where it is asked for, are pairs that are no neighbours: blocks lie within a fibre,
+and positions from one of their beads are rounded last. What neighbours do to one another, by the large
+forces within a fibre, is summed in double precision.
+"""
+
+from functools import reduce
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from .coefficients import factors, separate
+from .configuration import Configuration
+from .domain import AbstractHalfSpace, Unbounded
+from .pairs import CROSS, Radii, radii_of, separations
+from .state import Load, Motion, spins
+from .tensors import as_motion, pushed, rpy_motion
+
+PAIRS = 2**19
+"""Pairs that are computed at a time, but for so many rows."""
+ROWS = 8, 64
+"""The least and the most beads that are moved at a time."""
+NEIGHBOURS = 32
+"""Beads on either side along the chain that count as neighbours."""
+LEAST = 8 * NEIGHBOURS
+"""Beads from which on this is done."""
+
+
+class _Beads(NamedTuple):
+    """Some of the beads, and what they bear."""
+
+    position: Float[Array, "beads dim"]
+    radius: Float[Array, " beads"] | None
+    """In units of the length; `None`: all have that one."""
+    load: Load
+
+
+class _Task(NamedTuple):
+    """What is the same for all of them."""
+
+    length: Float[Array, ""]
+    rotational: bool
+    dtype: np.dtype
+    """Of pairs that are no neighbours."""
+
+
+def _radii(to: _Beads, of: _Beads) -> Radii | None:
+    return None if to.radius is None or of.radius is None else radii_of(to.radius, of.radius)
+
+
+def _by_all_formulas(to: _Beads, of: _Beads, task: _Task) -> list[Array]:
+    """Velocities and spins times the viscosity, component by component."""
+    d, one = (
+        separations(to.position / task.length, of.position / task.length),
+        jnp.ones_like(task.length),
+    )
+    fields = pushed(d, _radii(to, of), task.length, one, task.rotational, of.load)
+    return [field @ jnp.ones(len(of.position), field.dtype) for field in fields]
+
+
+def _kept(rows: list[Array]) -> list[Array]:
+    """The same numbers.
+
+    XLA: what a matrix product gives is not computed anew for each pair that reads it, as all else that
+    looks cheap.
+    """
+    return list(jnp.eye(len(rows), dtype=rows[0].dtype) @ jnp.stack(rows))
+
+
+def _times(field: Array, rows: list[Array]) -> list[Float[Array, " to"]]:
+    """Sums over j of field row_j."""
+    found = field @ jnp.stack(rows).T  # XLA: the transpose of this product takes twice as long
+    return [found[:, c] for c in range(len(rows))]
+
+
+Term = tuple[int, int, int]
+"""(k, m, sign) stands for sign d_k f_m."""
+
+
+def _added(terms: list[Term], d: list[Array], f: list[Array]) -> Array:
+    return reduce(jnp.add, [d[k] * f[m] if s > 0 else -d[k] * f[m] for k, m, s in terms])
+
+
+def _separate(to: _Beads, of: _Beads, task: _Task) -> tuple[list[Array], Array]:
+    """The same as `_by_all_formulas` by those of separate spheres; which beads they fail to reach."""
+    dtype, rotational, dim = task.dtype, task.rotational, to.position.shape[1]
+    centre, turns = lax.stop_gradient(to.position[0]), spins(dim)
+    at = [(of.position[:, c] - centre[c]) / task.length for c in range(dim)]
+    force = [] if of.load.force is None else list(of.load.force.T)
+    torque = [] if of.load.torque is None or not rotational else list(of.load.torque.T)
+    rows = _kept([row.astype(dtype) for row in (*at, *force, *torque)])
+    y, force, torque = rows[:dim], rows[dim : dim + len(force)], rows[dim + len(force) :]
+    x = _kept([((to.position[:, c] - centre[c]) / task.length).astype(dtype) for c in range(dim)])
+    row, column = jnp.ones((1, len(y[0])), dtype), jnp.ones((len(x[0]), 1), dtype)
+    d = [a[:, None] @ row - column @ b[None, :] for a, b in zip(x, y, strict=True)]
+    k, overlap = separate(d, _radii(to, of))
+
+    def dyadic(field: Array, f: list[Array]) -> list[Array]:
+        """Sums over j of field d (d . f_j)."""
+        along = field * sum(c * row[None, :] for c, row in zip(d, f, strict=True))
+        whole, *parts = _times(along, [jnp.ones_like(y[0]), *y])
+        return [whole * a - part for a, part in zip(x, parts, strict=True)]
+
+    # One product with y^3 for all that turns: T x d, F x d and the part of rr along T.
+    pulls = [[(j, m, -s) for i, j, m, s in CROSS[dim] if i == c] for c in range(dim)]
+    turn = [[(j, i, s) for i, j, m, s in CROSS[dim] if m == c] for c in range(turns)]
+    columns = [*torque, *(_added(terms, y, torque) for terms in pulls if torque)]
+    if rotational:
+        columns += [*force, *(_added(terms, y, force) for terms in turn if force)]
+    found = iter(_times(k.tr, columns) if columns else [])
+
+    def crossed(terms: list[list[Term]], f: list[Array]) -> tuple[list[Array], list[Array]]:
+        """Sums over j of tr f_j, and of the terms."""
+        whole = [next(found) for _ in f]
+        return whole, [_added(each, x, whole) - next(found) for each in terms]
+
+    six, cross, eight = factors(task.length)
+    digits = to.position.dtype
+    velocity = [jnp.zeros(len(x[0]), digits) for _ in range(dim)]
+    spin = [jnp.zeros(len(x[0]), digits) for _ in range(turns if rotational else 0)]
+
+    def add(parts: list[Array], factor: Array, sums: list[Array]) -> list[Array]:
+        return [p + factor * s.astype(digits) for p, s in zip(parts, sums, strict=True)]
+
+    if force:
+        velocity = add(velocity, six, _times(k.tt1, force))
+        velocity = add(velocity, six, dyadic(k.tt2, force))
+    if torque:
+        whole, pulled = crossed(pulls, torque)
+        velocity = add(velocity, cross, pulled)
+        spin = add(spin, -eight / 2, whole)
+        if dim == 3:
+            spin = add(spin, eight, dyadic(k.rr2, torque))
+    if force and rotational:
+        spin = add(spin, cross, crossed(turn, force)[1])
+    return velocity + spin, overlap
+
+
+def _blocks(pieces: tuple[int, ...], most: int) -> np.ndarray:
+    """Numbers of the beads in blocks of so many within each piece, the last of a block repeated."""
+    blocks, first = [], 0
+    for size in pieces:
+        rows = -(-size // -(-size // most))
+        for start in range(first, first + size, rows):
+            block = np.arange(start, min(start + rows, first + size))
+            blocks.append(np.pad(block, (0, most - len(block)), mode="edge"))
+        first += size
+    rows = max(block[-1] - block[0] + 1 for block in blocks)
+    return np.stack(blocks)[:, :rows]
+
+
+def motion(configuration: Configuration, load: Load, single: bool = False) -> Motion:
+    """M F.
+
+    **Arguments**: spheres (their images in boundaries are left out); loads; whether pairs that are no
+    neighbours along the chain are in single precision.
+    """
+    beads = configuration.beads
+    plain = isinstance(configuration.domain, (Unbounded, AbstractHalfSpace))
+    if beads < LEAST or not plain:
+        return rpy_motion(configuration, load)
+    return _motion(configuration, load, single)
+
+
+@eqx.filter_custom_jvp
+def _motion(configuration: Configuration, load: Load, single: bool) -> Motion:
+    position, beads = configuration.position, configuration.beads
+    scaled = configuration.scaled
+    pieces = configuration.pieces or (beads,)
+    if min(pieces) < ROWS[0]:
+        pieces, single = (beads,), False  # blocks of several pieces are too wide for that
+    rows = _blocks(pieces, int(np.clip(PAIRS // beads, *ROWS)))
+    dtype = np.dtype(np.float32) if single else position.dtype
+    task = _Task(scaled.length, configuration.rotational, dtype)
+    of = _Beads(position, scaled.radius, load)
+    near = rows.shape[1] + 2 * NEIGHBOURS
+    number = jnp.arange(beads)
+
+    def block(rows: Int[Array, " rows"]) -> list[Array]:
+        start = jnp.clip(rows[0] - NEIGHBOURS, 0, beads - near)
+        to, close = (
+            jax.tree.map(lambda x, at=at: x[at], of) for at in (rows, start + number[:near])
+        )
+        away = (number < start) | (number >= start + near)
+        others = jax.tree.map(lambda x: jnp.where(away[:, None], x, 0.0), load)
+        far = of._replace(load=others)
+        found, overlap = _separate(to, far, task)
+        fine = overlap.astype(jnp.float32) @ away.astype(jnp.float32) == 0
+        apart = lax.cond(jnp.all(fine), lambda: found, lambda: _by_all_formulas(to, far, task))
+        together = _by_all_formulas(to, close, task)
+        return [(a + b) / configuration.viscosity for a, b in zip(together, apart, strict=True)]
+
+    found = lax.map(block, jnp.asarray(rows))
+    flat = rows.ravel()
+    first = np.unique(flat, return_index=True)[1]
+    return as_motion([x.ravel()[first] for x in found], configuration)
+
+
+@_motion.def_jvp
+def _motion_jvp(primals: Any, tangents: Any) -> tuple[Motion, Motion]:
+    """Derivatives are those of the sum pair by pair, whose program is a fifth as long."""
+    moved = eqx.filter_jvp(rpy_motion, primals[:2], tangents[:2])[1]
+    return _motion(*primals), moved

@@ -1,0 +1,125 @@
+"""M F of many beads by matrix products, against the tables of all pairs."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxbeads as jb
+from jaxbeads import products, tensors
+from jaxbeads.configuration import Configuration
+from jaxbeads.constraint import Gears
+from jaxbeads.domain import Unbounded
+from jaxbeads.force import Bending, Weight
+from jaxbeads.mobility import RPY
+from jaxbeads.state import Load
+
+
+def fibres(pieces, dim, seed=0):
+    """Bent fibres of touching beads here and there, a hundred radii apart."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for k, size in enumerate(pieces):
+        angle = np.cumsum(0.1 * rng.normal(size=size)) + rng.uniform(0, 7)
+        steps = 2 * np.stack([np.cos(angle), np.sin(angle), 0.2 * np.sin(3 * angle)][:dim], axis=1)
+        rows.append(np.cumsum(steps, axis=0) + 100 * np.array([k % 3, k // 3, k % 2])[:dim])
+    return jnp.asarray(np.concatenate(rows))
+
+
+def loads(beads, dim, seed=1):
+    rng = np.random.default_rng(seed)
+    turns = 1 if dim == 2 else 3
+    return Load(*(jnp.asarray(rng.normal(size=(beads, n))) for n in (dim, turns)))
+
+
+def error(a, b):
+    largest = [
+        (np.abs(x - y).max(), np.abs(y).max())
+        for x, y in zip(*map(jax.tree.leaves, (a, b)), strict=True)
+    ]
+    return max(off / size for off, size in largest)
+
+
+PIECES = {
+    "fibres": (100, 100, 100, 100),
+    "unequal": (150, 9, 64, 65, 30),
+    "one": (400,),
+    "short": (1, 2, 3, 250, 44),
+}
+
+
+@pytest.mark.parametrize("radii", [False, True], ids=["equal", "unequal"])
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("pieces", PIECES.values(), ids=PIECES)
+def test_many_beads_move_as_by_all_pairs(pieces, dim, radii):
+    beads = sum(pieces)
+    x, load = fibres(pieces, dim), loads(beads, dim)
+    radius = np.random.default_rng(3).uniform(0.4, 1.4, beads) if radii else 0.9
+    spheres = Configuration(x + 1e3, radius, 1.3, True, Unbounded(), pieces)
+    whole = tensors.rpy(spheres).motion(load)
+    assert error(products.motion(spheres, load), whole) < 2e-13
+    single = products.motion(spheres, load, single=True)
+    assert error(single, whole) < 1e-6
+    if min(pieces) >= products.ROWS[0]:
+        assert error(single, whole) > 1e-10  # it is in single precision
+
+
+@pytest.mark.parametrize("part", ["force", "torque", "still"])
+def test_forces_or_torques_alone(part):
+    x, load = fibres((150, 150), 3), loads(300, 3)
+    rotational = part != "still"
+    load = Load(torque=load.torque) if part == "torque" else Load(load.force)
+    spheres = Configuration(x, 1.0, 1.0, rotational, Unbounded(), (150, 150))
+    whole = tensors.rpy(spheres).motion(load)
+    assert error(products.motion(spheres, load), whole) < 1e-13
+
+
+def test_beads_that_overlap_without_being_neighbours():
+    # A ball of overlapping beads, some in one place; and one pair of fibres that cross.
+    rng = np.random.default_rng(5)
+    ball = jnp.asarray(3 * rng.normal(size=(300, 3))).at[250].set(jnp.zeros(3)).at[7].set(0.0)
+    crossing = fibres((150, 150), 3)
+    crossing = crossing.at[200].set(crossing[20] + jnp.array([0.3, 0.0, 0.0]))
+    load = loads(300, 3)
+    for x in (ball, crossing):
+        for radius in (1.0, rng.uniform(0.5, 1.5, 300)):
+            spheres = Configuration(x, radius, 1.0, True, Unbounded(), (150, 150))
+            whole = tensors.rpy(spheres).motion(load)
+            assert error(products.motion(spheres, load), whole) < 1e-13
+            assert error(products.motion(spheres, load, single=True), whole) < 1e-6
+
+
+@pytest.mark.parametrize("single", [False, True], ids=["double", "single"])
+def test_derivatives_of_the_product(single):
+    x, load, rng = fibres((150, 150), 3), loads(300, 3), np.random.default_rng(6)
+    radius = jnp.asarray(1.0)
+    along = tuple(jax.tree.map(lambda a: jnp.asarray(rng.normal(size=a.shape)), (x, load, radius)))
+
+    def value(x, load, radius):
+        spheres = Configuration(x, radius, 1.0, True, Unbounded(), (150, 150))
+        moved = products.motion(spheres, load, single)
+        return jnp.sum(jnp.sin(moved.velocity)) + jnp.sum(moved.spin**2)
+
+    def exact(h):
+        at = jax.tree.map(lambda a, d: a + h * d, (x, load, radius), along)
+        spheres = Configuration(at[0], at[2], 1.0)
+        moved = tensors.rpy(spheres).motion(at[1])
+        return jnp.sum(jnp.sin(moved.velocity)) + jnp.sum(moved.spin**2)
+
+    slope = (exact(1e-5) - exact(-1e-5)) / 2e-5
+    pushed = jax.jvp(value, (x, load, radius), along)[1]
+    pulled = jax.grad(value, argnums=(0, 1, 2))(x, load, radius)
+    dot = sum(jnp.vdot(a, b) for a, b in zip(*map(jax.tree.leaves, (pulled, along)), strict=True))
+    accuracy = 1e-6 if single else 1e-7
+    assert abs(pushed - slope) < accuracy * abs(slope)
+    assert abs(dot - pushed) < accuracy * abs(slope)
+
+
+def test_a_scene_in_single_precision_moves_alike():
+    chain = jb.Chain(1.0, (90, 120, 90))
+    state = jb.State(fibres(chain.fibres, 3))
+    moved = []
+    for mobility in (RPY(dense=False), RPY(dense=False, single=True)):
+        terms = {"constraints": [Gears()], "forces": [Weight([0.0, -1.0, 0.3]), Bending(1e4)]}
+        moved.append(jb.dynamics.motion(0.0, state, jb.Scene(chain, 1.0, mobility, **terms)))
+    assert 0 < error(moved[1].velocity, moved[0].velocity) < 1e-5
