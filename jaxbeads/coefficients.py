@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array
+from jaxtyping import Array, Bool
 
 from .pairs import Field, Radii
 
@@ -145,8 +145,11 @@ def coefficients(vector: list[Field], radii: Radii | None) -> Scalars:
     return _unequal(s, *radii) if isinstance(radii, tuple) else _equal(s)
 
 
-def separate(vector: list[Field], radii: Radii | None) -> tuple[Scalars, Array]:
-    """The same of spheres that do not overlap, all powers of one field; and which of them do.
+def separate(
+    vector: list[Field], radii: Radii | None, there: Bool[Array, "to of"] | None = None
+) -> tuple[Scalars, Bool[Array, "to of"]]:
+    """The same of spheres that do not overlap, all powers of one field; and which of them do. Pairs that
+    are not `there` have coefficients 0.
 
     There rr1 is -tr/2, whatever the radii.
     """
@@ -157,9 +160,9 @@ def separate(vector: list[Field], radii: Radii | None) -> tuple[Scalars, Array]:
         least = lax.stop_gradient(jnp.minimum(jnp.min(radii[0]), jnp.min(radii[1])))
     touching = jnp.asarray(contact * contact, square.dtype)
     y = lax.rsqrt(jnp.maximum(square, touching))
-    y = jnp.minimum(
-        y, 0.5 / least
-    )  # XLA: never less, but the square of the root would be a division
+    # XLA: never less, but the square of the root would be a division.
+    y = jnp.minimum(y, 0.5 / least)
+    y = y if there is None else jnp.where(there, y, 0.0)
     y2, y3 = y * y, y * y * y
     if isinstance(radii, tuple):
         both = radii[0] ** 2 + radii[1] ** 2

@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from .coefficients import factors, separate
 from .configuration import Configuration
@@ -37,7 +37,7 @@ LEAST = 8 * NEIGHBOURS
 """Beads from which on this is done."""
 
 
-class _Beads(NamedTuple):
+class Beads(NamedTuple):
     """Some of the beads, and what they bear."""
 
     position: Float[Array, "beads dim"]
@@ -46,7 +46,7 @@ class _Beads(NamedTuple):
     load: Load
 
 
-class _Task(NamedTuple):
+class Task(NamedTuple):
     """What is the same for all of them."""
 
     length: Float[Array, ""]
@@ -55,16 +55,14 @@ class _Task(NamedTuple):
     """Of pairs that are no neighbours."""
 
 
-def _radii(to: _Beads, of: _Beads) -> Radii | None:
+def _radii(to: Beads, of: Beads) -> Radii | None:
     return None if to.radius is None or of.radius is None else radii_of(to.radius, of.radius)
 
 
-def _by_all_formulas(to: _Beads, of: _Beads, task: _Task) -> list[Array]:
+def all_sums(to: Beads, of: Beads, task: Task) -> list[Array]:
     """Velocities and spins times the viscosity, component by component."""
-    d, one = (
-        separations(to.position / task.length, of.position / task.length),
-        jnp.ones_like(task.length),
-    )
+    d = separations(to.position / task.length, of.position / task.length)
+    one = jnp.ones_like(task.length)
     fields = pushed(d, _radii(to, of), task.length, one, task.rotational, of.load)
     return [field @ jnp.ones(len(of.position), field.dtype) for field in fields]
 
@@ -92,8 +90,10 @@ def _added(terms: list[Term], d: list[Array], f: list[Array]) -> Array:
     return reduce(jnp.add, [d[k] * f[m] if s > 0 else -d[k] * f[m] for k, m, s in terms])
 
 
-def _separate(to: _Beads, of: _Beads, task: _Task) -> tuple[list[Array], Array]:
-    """The same as `_by_all_formulas` by those of separate spheres; which beads they fail to reach."""
+def separate_sums(
+    to: Beads, of: Beads, task: Task, there: Bool[Array, "to of"] | None = None
+) -> tuple[list[Array], Bool[Array, "to of"]]:
+    """The same by those of separate spheres, of all pairs or some; for which of all they do not hold."""
     dtype, rotational, dim = task.dtype, task.rotational, to.position.shape[1]
     centre, turns = lax.stop_gradient(to.position[0]), spins(dim)
     at = [(of.position[:, c] - centre[c]) / task.length for c in range(dim)]
@@ -104,7 +104,7 @@ def _separate(to: _Beads, of: _Beads, task: _Task) -> tuple[list[Array], Array]:
     x = _kept([((to.position[:, c] - centre[c]) / task.length).astype(dtype) for c in range(dim)])
     row, column = jnp.ones((1, len(y[0])), dtype), jnp.ones((len(x[0]), 1), dtype)
     d = [a[:, None] @ row - column @ b[None, :] for a, b in zip(x, y, strict=True)]
-    k, overlap = separate(d, _radii(to, of))
+    k, overlap = separate(d, _radii(to, of), there)
 
     def dyadic(field: Array, f: list[Array]) -> list[Array]:
         """Sums over j of field d (d . f_j)."""
@@ -147,7 +147,7 @@ def _separate(to: _Beads, of: _Beads, task: _Task) -> tuple[list[Array], Array]:
     return velocity + spin, overlap
 
 
-def _blocks(pieces: tuple[int, ...], most: int) -> np.ndarray:
+def blocks_of(pieces: tuple[int, ...], most: int) -> np.ndarray:
     """Numbers of the beads in blocks of so many within each piece, the last of a block repeated."""
     blocks, first = [], 0
     for size in pieces:
@@ -160,51 +160,67 @@ def _blocks(pieces: tuple[int, ...], most: int) -> np.ndarray:
     return np.stack(blocks)[:, :rows]
 
 
+def plain(configuration: Configuration) -> bool:
+    """Whether separations are differences of positions."""
+    return isinstance(configuration.domain, (Unbounded, AbstractHalfSpace))
+
+
 def motion(configuration: Configuration, load: Load, single: bool = False) -> Motion:
     """M F.
 
     **Arguments**: spheres (their images in boundaries are left out); loads; whether pairs that are no
     neighbours along the chain are in single precision.
     """
-    beads = configuration.beads
-    plain = isinstance(configuration.domain, (Unbounded, AbstractHalfSpace))
-    if beads < LEAST or not plain:
+    if configuration.beads < LEAST or not plain(configuration):
         return rpy_motion(configuration, load)
     return _motion(configuration, load, single)
 
 
+def block_sums(
+    rows: Int[Array, " rows"], every: Beads, of: Beads, numbers: Int[Array, " of"], task: Task
+) -> list[Array]:
+    """Velocities and spins of a block of beads times the viscosity, component by component.
+
+    **Arguments**: numbers of the beads; all beads; those that move them, and their numbers (-1: not
+    there); their neighbours are among them.
+    """
+    beads = len(every.position)
+    near = min(len(rows) + 2 * NEIGHBOURS, beads)
+    start = jnp.clip(rows[0] - NEIGHBOURS, 0, beads - near)
+    places = rows, start + jnp.arange(near)
+    to, close = (jax.tree.map(lambda x, at=at: x[at], every) for at in places)
+    away = ((numbers < start) | (numbers >= start + near)) & (numbers >= 0)
+    far = of._replace(load=jax.tree.map(lambda x: jnp.where(away[:, None], x, 0.0), of.load))
+    found, overlap = separate_sums(to, far, task)
+    fine = overlap.astype(jnp.float32) @ away.astype(jnp.float32) == 0
+    apart = lax.cond(jnp.all(fine), lambda: found, lambda: all_sums(to, far, task))
+    return [a + b for a, b in zip(all_sums(to, close, task), apart, strict=True)]
+
+
+def beads_of(configuration: Configuration, load: Load, single: bool) -> tuple[Beads, Task]:
+    """All beads, and what is the same for them."""
+    scaled, position = configuration.scaled, configuration.position
+    dtype = np.dtype(np.float32) if single else position.dtype
+    task = Task(scaled.length, configuration.rotational, dtype)
+    return Beads(position, scaled.radius, load), task
+
+
+def joined(found: list[Array], rows: np.ndarray, configuration: Configuration) -> Motion:
+    """The motion, from sums in blocks of beads."""
+    first = np.unique(rows, return_index=True)[1]
+    return as_motion([x.ravel()[first] / configuration.viscosity for x in found], configuration)
+
+
 @eqx.filter_custom_jvp
 def _motion(configuration: Configuration, load: Load, single: bool) -> Motion:
-    position, beads = configuration.position, configuration.beads
-    scaled = configuration.scaled
+    beads = configuration.beads
     pieces = configuration.pieces or (beads,)
     if min(pieces) < ROWS[0]:
         pieces, single = (beads,), False  # blocks of several pieces are too wide for that
-    rows = _blocks(pieces, int(np.clip(PAIRS // beads, *ROWS)))
-    dtype = np.dtype(np.float32) if single else position.dtype
-    task = _Task(scaled.length, configuration.rotational, dtype)
-    of = _Beads(position, scaled.radius, load)
-    near = rows.shape[1] + 2 * NEIGHBOURS
-    number = jnp.arange(beads)
-
-    def block(rows: Int[Array, " rows"]) -> list[Array]:
-        start = jnp.clip(rows[0] - NEIGHBOURS, 0, beads - near)
-        to, close = (
-            jax.tree.map(lambda x, at=at: x[at], of) for at in (rows, start + number[:near])
-        )
-        away = (number < start) | (number >= start + near)
-        others = jax.tree.map(lambda x: jnp.where(away[:, None], x, 0.0), load)
-        far = of._replace(load=others)
-        found, overlap = _separate(to, far, task)
-        fine = overlap.astype(jnp.float32) @ away.astype(jnp.float32) == 0
-        apart = lax.cond(jnp.all(fine), lambda: found, lambda: _by_all_formulas(to, far, task))
-        together = _by_all_formulas(to, close, task)
-        return [(a + b) / configuration.viscosity for a, b in zip(together, apart, strict=True)]
-
-    found = lax.map(block, jnp.asarray(rows))
-    flat = rows.ravel()
-    first = np.unique(flat, return_index=True)[1]
-    return as_motion([x.ravel()[first] for x in found], configuration)
+    rows = blocks_of(pieces, int(np.clip(PAIRS // beads, *ROWS)))
+    (every, task), numbers = beads_of(configuration, load, single), jnp.arange(beads)
+    found = lax.map(lambda at: block_sums(at, every, every, numbers, task), jnp.asarray(rows))
+    return joined(found, rows, configuration)
 
 
 @_motion.def_jvp

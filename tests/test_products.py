@@ -119,7 +119,7 @@ def test_a_scene_in_single_precision_moves_alike():
     chain = jb.Chain(1.0, (90, 120, 90))
     state = jb.State(fibres(chain.fibres, 3))
     moved = []
-    for mobility in (RPY(dense=False), RPY(dense=False, single=True)):
+    for mobility in (RPY(dense=False), RPY(dense=False, far_error=1e-6)):
         terms = {"constraints": [Gears()], "forces": [Weight([0.0, -1.0, 0.3]), Bending(1e4)]}
         moved.append(jb.dynamics.motion(0.0, state, jb.Scene(chain, 1.0, mobility, **terms)))
     assert 0 < error(moved[1].velocity, moved[0].velocity) < 1e-5

@@ -26,6 +26,7 @@ ORDER = [
     {"coefficients", "configuration"},
     {"tensors"},
     {"products"},
+    {"segments"},
     {"reflection"},
     {"images", "mirror"},
     {"fields"},

@@ -7,7 +7,8 @@ import equinox as eqx
 import jax
 from jaxtyping import Array, Float
 
-from .. import fields, images, mirror, products, tensors
+from .. import fields, images, mirror, products, segments, tensors
+from .._checks import fail
 from ..configuration import Configuration
 from ..domain import AbstractDomain, FreeSurface, NoSlipWall, Unbounded
 from ..pairs import PairTensor
@@ -58,8 +59,12 @@ class RPY(AbstractMobility):
       by a factorisation. Otherwise pairs are summed anew for each product, multipliers are iterated
       (to 1e-12), and memory grows like the number of beads; steps are those of `ESDIRK` or explicit,
       and steady states need the tables. By default up to 1000 beads.
-    - `single`: whether, where there are no tables, beads that are no neighbours along a chain move one
-      another in single precision: 2.5 times as fast, with errors of 3e-7 of the largest velocity.
+    - `far_error`: error of the velocities, over the largest, that the influence of beads far away may
+      have in an unbounded fluid, where there are no tables; from 1e-6 on they are in single precision,
+      and from some 6000 beads in long fibres on their segments interact by a few beads
+      (`jaxbeads.segments`). Derivatives are those of the exact sums. 0: none but rounding.
+
+    **Raises** `ValueError` for an error that is not between 1e-10 and 1e-3, or 0.
 
     >>> import jax.numpy as jnp
     >>> import jaxbeads as jb
@@ -74,7 +79,11 @@ class RPY(AbstractMobility):
     domains: ClassVar[tuple[type[AbstractDomain], ...]] = tuple(_FORMS)
     strained: bool = eqx.field(static=True, default=True)
     dense: bool | None = eqx.field(static=True, default=None)
-    single: bool = eqx.field(static=True, default=False)
+    far_error: float = eqx.field(static=True, default=0.0)
+
+    def __check_init__(self) -> None:
+        if self.far_error != 0 and not 1e-10 <= self.far_error <= 1e-3:
+            fail("far_error", "be 0 or between 1e-10 and 1e-3", f"it is {self.far_error:g}")
 
     def is_dense(self, beads: int) -> bool:
         """As `dense` says."""
@@ -83,8 +92,8 @@ class RPY(AbstractMobility):
     def motion(self, configuration: Configuration, load: Load) -> Motion:
         """M F, pair by pair."""
         form = _form(configuration)
-        if form is _FREE and self.single:
-            return products.motion(configuration, load, single=True)
+        if form is _FREE and self.far_error:
+            return segments.motion(configuration, load, self.far_error)
         return form.motion(configuration, load)
 
     def disturbance(

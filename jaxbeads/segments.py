@@ -1,0 +1,183 @@
+"""M F of many beads in long fibres: segments that are far from one another interact by a few beads.
+
+Along a smooth fibre, what beads far away do to it, and what it does to them, are smooth functions of the
+arclength. So forces and torques of a segment are handed to some of its beads, the nodes, with the
+weights of polynomial interpolation; nodes move nodes of segments far away; their velocities and spins
+are interpolated to the beads. With p nodes the error falls like rho^-p, rho = c + sqrt(c^2 - 1), where a
+bead is c halves of a segment away from its middle. Segments that are near interact bead by bead
+(`products`).
+
+Where a fibre bends so much that its beads are not where interpolation puts them, or more segments are
+near to one than there is room for, everything is summed bead by bead: slower, never wrong.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool
+
+from . import products
+from .configuration import Configuration
+from .products import (
+    NEIGHBOURS,
+    Beads,
+    Task,
+    beads_of,
+    block_sums,
+    blocks_of,
+    joined,
+    separate_sums,
+)
+from .state import Load, Motion
+from .tensors import rpy_motion
+
+BEADS = 50
+"""Beads of a segment, at most."""
+ROOM = 64, 96
+"""Segments that may be near to one: a third of all, within these bounds."""
+APART = 2.5
+"""Reaches of a segment between its middle and what is far."""
+SINGLE = 1e-6
+"""Error from which on single precision will do."""
+
+
+class _Segments(NamedTuple):
+    """Segments, and beads that stand for them."""
+
+    rows: np.ndarray
+    """Numbers of the beads, the last repeated, (segments, beads)."""
+    there: np.ndarray
+    """Which are not repeated."""
+    nodes: np.ndarray
+    """Numbers of the nodes, (segments, nodes)."""
+    weights: np.ndarray
+    """Of nodes, for each bead, (segments, beads, nodes); 0 for what is repeated."""
+    band: np.ndarray
+    """Which hold neighbours of the beads of each, (segments, segments)."""
+
+    @property
+    def room(self) -> int:
+        """How many may be near to one."""
+        return min(len(self.rows), max(ROOM[0], min(ROOM[1], len(self.rows) // 3)))
+
+
+def interpolation(beads: int, nodes: int) -> tuple[np.ndarray, np.ndarray]:
+    """Which of some beads in a row are nodes, close to the extrema of a Chebyshev polynomial, and their
+    weights for each bead in the polynomial through the nodes. If there are not enough beads, the last is
+    repeated, with weight zero.
+    """
+    used = min(beads, nodes)
+    extrema = 0.5 * (beads - 1) * (1 - np.cos(np.pi * np.arange(used) / max(used - 1, 1)))
+    at = np.round(extrema).astype(int)
+    for k in range(1, used):  # never the same twice
+        at[k] = max(at[k], at[k - 1] + 1)
+    at = np.minimum(at, beads - np.arange(used)[::-1] - 1)
+    weights, s = np.zeros((beads, nodes)), np.arange(beads)[:, None]
+    for k in range(used):
+        others = np.delete(at, k)
+        weights[:, k] = np.prod((s - others) / (at[k] - others), axis=1)
+    return np.pad(at, (0, nodes - used), mode="edge"), weights
+
+
+def _segments(pieces: tuple[int, ...], nodes: int) -> _Segments:
+    rows = blocks_of(pieces, BEADS)
+    number, beads = rows[:, -1] - rows[:, 0] + 1, sum(pieces)
+    made = {n: interpolation(n, nodes) for n in {int(n) for n in number}}
+    size = rows.shape[1]
+    wide = size + 2 * NEIGHBOURS
+    start = np.clip(rows[:, 0] - NEIGHBOURS, 0, beads - wide)
+    return _Segments(
+        rows,
+        np.arange(size) < number[:, None],
+        np.stack([row[made[n][0]] for row, n in zip(rows, number, strict=True)]),
+        np.stack([np.pad(made[n][1], ((0, size - n), (0, 0))) for n in number]),
+        (rows[:, -1] >= start[:, None]) & (rows[:, 0] < start[:, None] + wide),
+    )
+
+
+def _near(
+    position: Array, segments: _Segments, error: float
+) -> tuple[Bool[Array, "segments segments"], Bool[Array, ""]]:
+    """Which segments interact bead by bead, and whether the others may do otherwise."""
+    x, nodes = position[segments.rows], position[segments.nodes]
+    middle = jnp.mean(nodes, axis=1)
+    reach = jnp.max(jnp.linalg.norm(x - middle[:, None], axis=2), axis=1)
+    apart = jnp.linalg.norm(middle[:, None] - middle[None], axis=2)
+    one, other = reach[:, None], reach[None]
+    near = apart < jnp.minimum(one, other) + APART * jnp.maximum(one, other)
+    near = near | segments.band
+    between = jnp.einsum("sbp,spc->sbc", segments.weights, nodes)
+    off = jnp.linalg.norm(x - between, axis=2) * segments.there
+    smooth = jnp.max(off, axis=1) <= 3 * error * reach
+    return near, jnp.all(smooth) & jnp.all(jnp.sum(near, axis=1) <= segments.room)
+
+
+def _sums(every: Beads, task: Task, segments: _Segments, near: Array) -> list[Array]:
+    """Velocities and spins times the viscosity, in segments."""
+    rows, nodes = jnp.asarray(segments.rows), jnp.asarray(segments.nodes)
+    weights = jnp.asarray(segments.weights, every.position.dtype)
+    number, each = nodes.shape
+    _, others = lax.top_k(near.astype(jnp.float32), segments.room)
+    numbers = jnp.where(jnp.asarray(segments.there), rows, -1)
+
+    def close(k: Array) -> list[Array]:
+        there = jnp.where(near[k, others[k]][:, None], numbers[others[k]], -1)
+        of = jax.tree.map(lambda x: x[rows[others[k]].ravel()], every)
+        return block_sums(rows[k], every, of, there.ravel(), task)
+
+    def handed(bears: Array) -> Array:
+        return jnp.einsum("sbp,sbc->spc", weights, bears[rows]).reshape(number * each, -1)
+
+    at = every.position[nodes]
+    of = Beads(at.reshape(number * each, -1), None, jax.tree.map(handed, every.load))
+    count = max(1, products.ROWS[1] // each)  # segments at a time
+    groups = np.minimum(np.arange(-(-number // count) * count), number - 1).reshape(-1, count)
+
+    def far(some: Array) -> list[Array]:
+        apart = jnp.repeat(jnp.repeat(~near[some], each, axis=0), each, axis=1)
+        to = Beads(at[some].reshape(count * each, -1), None, Load())
+        return separate_sums(to, of, task, apart)[0]
+
+    moved = lax.map(far, jnp.asarray(groups))
+    spread = [jnp.einsum("sbp,sp->sb", weights, v.reshape(-1, each)[:number]) for v in moved]
+    return [a + b for a, b in zip(lax.map(close, jnp.arange(number)), spread, strict=True)]
+
+
+def motion(configuration: Configuration, load: Load, error: float) -> Motion:
+    """M F with an error of the largest velocity, which pairs of beads far apart may have.
+
+    Where there are not enough beads, or fibres are short, they are summed by `products`.
+
+    **Arguments**: spheres (their images in boundaries are left out); loads; the error.
+    """
+    beads, pieces = configuration.beads, configuration.pieces or (configuration.beads,)
+    nodes = int(np.clip(np.ceil(11 + 2 * np.log10(1e-6 / error)), 8, 24))
+    enough = beads > 2 * ROOM[0] * BEADS and beads > 2 * nodes * len(pieces)
+    if not enough or configuration.radius.ndim or not products.plain(configuration):
+        return products.motion(configuration, load, single=error >= SINGLE)
+    return _motion(configuration, load, error, nodes)
+
+
+@eqx.filter_custom_jvp
+def _motion(configuration: Configuration, load: Load, error: float, nodes: int) -> Motion:
+    segments = _segments(configuration.pieces or (configuration.beads,), nodes)
+    near, fine = _near(configuration.position, segments, error)
+    every, task = beads_of(configuration, load, error >= SINGLE)
+
+    def fast() -> Motion:
+        return joined(_sums(every, task, segments, near), segments.rows, configuration)
+
+    return lax.cond(
+        fine, fast, lambda: products.motion(configuration, load, single=error >= SINGLE)
+    )
+
+
+@_motion.def_jvp
+def _motion_jvp(primals: Any, tangents: Any) -> tuple[Motion, Motion]:
+    """Derivatives are those of the sum pair by pair."""
+    moved = eqx.filter_jvp(rpy_motion, primals[:2], tangents[:2])[1]
+    return _motion(*primals), moved

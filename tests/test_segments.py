@@ -1,0 +1,140 @@
+"""Segments that interact by a few of their beads, against the sum over all pairs."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxbeads as jb
+from jaxbeads import products, segments, tensors
+from jaxbeads.configuration import Configuration
+from jaxbeads.constraint import Gears
+from jaxbeads.domain import Unbounded
+from jaxbeads.force import Bending, Weight
+from jaxbeads.mobility import RPY
+from jaxbeads.state import Load
+
+
+def cloud(pieces, bend=1.0, spacing=50.0, seed=0):
+    """Bent fibres in random directions on a lattice, with forces and torques."""
+    rng, fibres = np.random.default_rng(seed), []
+    for k, beads in enumerate(pieces):
+        s = np.linspace(-0.5, 0.5, beads)
+        along, aside, _ = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        angle = bend * (2 * s + 0.5 * np.sin(5 * s))[:, None]
+        x = 2 * np.cumsum(np.cos(angle) * along + np.sin(angle) * aside, axis=0)
+        place = np.array(np.unravel_index(k, (8, 8, 8)))
+        fibres.append(x - x.mean(axis=0) + spacing * place)
+    x = jnp.asarray(np.concatenate(fibres))
+    load = Load(*(jnp.asarray(rng.normal(size=x.shape)) for _ in range(2)))
+    return Configuration(x, 1.0, 1.0, True, Unbounded(), tuple(pieces)), load
+
+
+def error(moved, exact):
+    pairs = (moved.velocity, exact.velocity), (moved.spin, exact.spin)
+    return max(float(np.abs(a - b).max() / np.abs(b).max()) for a, b in pairs)
+
+
+def holds(spheres, wanted, nodes=11):
+    """Whether segments do not leave it to all pairs."""
+    made = segments._segments(spheres.pieces, nodes)
+    return bool(segments._near(spheres.position, made, wanted)[1])
+
+
+@pytest.fixture
+def small(monkeypatch):
+    """Segments of few beads, of which few may be near."""
+    monkeypatch.setattr(segments, "BEADS", 25)
+    monkeypatch.setattr(segments, "ROOM", (20, 20))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wanted", [1e-5, 1e-6, 1e-8, 1e-10])
+def test_the_error_is_the_one_asked_for(wanted):
+    spheres, load = cloud((100,) * 70, spacing=100.0)
+    exact = jax.jit(products.motion)(spheres, load)
+    moved = jax.jit(RPY(dense=False, far_error=wanted).motion)(spheres, load)
+    assert 1e-4 * wanted < error(moved, exact) < wanted
+
+
+@pytest.mark.parametrize("kind", ["both", "force", "torque", "still", "planar"])
+def test_segments_of_unequal_fibres(small, kind):
+    spheres, load = cloud((50, 50, 75, 26, 60, 80, *(50,) * 19))
+    load = {"force": Load(load.force), "torque": Load(torque=load.torque)}.get(kind, load)
+    if kind == "planar":
+        spheres = cloud((50,) * 24, bend=0.3, spacing=60.0)[0]
+        flat = spheres.position[:, :2] + 70 * jnp.repeat(jnp.arange(24), 50)[:, None]
+        spheres = Configuration(flat, 1.0, 1.0, True, Unbounded(), spheres.pieces)
+        load = Load(load.force[: len(flat), :2], load.torque[: len(flat), :1])
+    if kind == "still":
+        spheres = Configuration(spheres.position, 1.0, 1.0, False, Unbounded(), spheres.pieces)
+        load = Load(load.force)
+    assert holds(spheres, 1e-6)
+    exact = tensors.rpy_motion(spheres, load)
+    for wanted in (1e-6, 1e-9):
+        moved = segments.motion(spheres, load, wanted)
+        off = np.abs(moved.velocity - exact.velocity).max() / np.abs(exact.velocity).max()
+        assert 1e-14 < off < wanted
+
+
+@pytest.mark.parametrize("why", ["crumpled", "crowded"])
+def test_where_segments_do_not_hold_all_pairs_are_summed(small, why):
+    spheres, load = cloud((50,) * 24)
+    x = spheres.position
+    if why == "crumpled":  # one bead is not where its neighbours put it
+        x = x.at[123].add(jnp.array([0.0, 1.0, 0.0]))
+    else:
+        x = cloud((50,) * 24, spacing=10.0)[0].position
+    spheres = spheres.at(x)
+    assert not holds(spheres, 1e-6)
+    exact = tensors.rpy_motion(spheres, load)
+    assert error(segments.motion(spheres, load, 1e-8), exact) < 1e-13
+
+
+def test_derivatives_are_those_of_the_exact_sum(small):
+    spheres, load = cloud((50,) * 24)
+    shift = jnp.asarray(np.random.default_rng(1).normal(size=spheres.position.shape))
+
+    some = jnp.asarray(np.random.default_rng(2).normal(size=spheres.position.shape))
+
+    def value(motion):
+        return lambda x: jnp.sum(some * motion(spheres.at(x), load).velocity)
+
+    found, exact = value(lambda c, f: segments.motion(c, f, 1e-6)), value(tensors.rpy_motion)
+    slopes = [jax.jvp(f, (spheres.position,), (shift,))[1] for f in (found, exact)]
+    assert abs(slopes[0] - slopes[1]) < 1e-11 * abs(slopes[1])
+    both = [jax.grad(f)(spheres.position) for f in (found, exact)]
+    assert np.abs(both[0] - both[1]).max() < 1e-11 * np.abs(both[1]).max()
+
+
+def test_interpolation_is_exact_for_polynomials():
+    for beads, nodes in ((50, 10), (25, 24), (8, 8), (3, 10), (1, 8)):
+        at, weights = segments.interpolation(beads, nodes)
+        degree = min(beads, nodes) - 1
+        s = np.linspace(-1, 1, beads) if beads > 1 else np.zeros(1)
+        assert len(np.unique(at)) == degree + 1
+        assert np.abs(weights @ s[at] ** degree - s**degree).max() < 1e-10
+        assert np.abs(weights.sum(axis=1) - 1).max() < 1e-12
+
+
+def test_errors_that_cannot_be_had_are_refused():
+    for wrong in (1e-11, 0.1, -1e-6):
+        with pytest.raises(ValueError, match="`far_error` must be 0 or between 1e-10 and 1e-3"):
+            RPY(far_error=wrong)
+
+
+def test_a_step_with_segments(small):
+    # Iterations of a stage meet segments that are a little off.
+    spheres, _ = cloud((50,) * 24, bend=0.2)
+    chain = jb.Chain(1.0, spheres.pieces)
+    terms = {"constraints": [Gears()], "forces": [Weight([0.0, -1.0, 0.0]), Bending(1e3)]}
+    state, ends = jb.State(spheres.position), []
+    for wanted in (0.0, 1e-6):
+        scene = jb.Scene(chain, 1.0, RPY(far_error=wanted), **terms)
+        ends.append(
+            jb.rollout(
+                scene, state, jnp.array([0.0, 5.0]), solver=jb.ESDIRK(substeps=1)
+            ).final.position
+        )
+    moved = np.abs(ends[0] - state.position).max()
+    assert moved > 1.0 and np.abs(ends[1] - ends[0]).max() < 1e-5 * moved
