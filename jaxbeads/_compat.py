@@ -11,7 +11,8 @@ changed, and takes each away to see that the results stay. The rest of the packa
 - `working_potrf`, `CALLS_OF_KNOWN_COST`: LAPACK's Cholesky factor without copies; whether it is
   known how jaxlib shares calls of LAPACK out to threads.
 - `over_devices`, `meet`: one program on several devices; processes wait for each other.
-- `CompileClock`: seconds spent compiling. `forget_cache`: after the cache's folder was named.
+- `CompileClock`: seconds spent compiling. `held_memory`: what a program holds. `forget_cache`:
+  after the cache's folder was named.
 - `hidden`: an array of which the compiler knows nothing.
 
 **Tricks that rest on how XLA compiles** and are plain arithmetic stay where they are, each beside a
@@ -298,6 +299,17 @@ COMPILING = (
     "/jax/core/compile/backend_compile_duration",
 )
 """Names of what JAX reports of its tracing, lowering and compiling."""
+
+
+def held_memory(function: Any, *arguments: Any) -> int | None:
+    """Bytes that the program of a function of `equinox.filter_jit` holds, its arguments and results
+    included; `None` where it does not say. The next call finds it compiled.
+    """
+    program = getattr(function.lower(*arguments).compile(), "compiled", None)
+    analysis = getattr(program, "memory_analysis", lambda: None)()
+    names = "argument_size_in_bytes", "output_size_in_bytes", "temp_size_in_bytes"
+    sizes = [size for name in names if (size := getattr(analysis, name, None)) is not None]
+    return sum(map(int, sizes)) if len(sizes) == len(names) else None
 
 
 def forget_cache() -> None:

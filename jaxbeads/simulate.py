@@ -59,7 +59,8 @@ def simulate(
     - `chunk`: save times in a chunk; shortened to a divisor of their number.
     - `file`: HDF5 file that is written while running; `resume` continues it. An older one is replaced
       once the run has begun; one that another run writes is left alone.
-    - `progress`: show a bar with the time reached and the steps taken.
+    - `progress`: show a bar with the time reached and the steps taken, and say beforehand what a run of
+      more than about a minute will take: memory, steps, seconds.
 
     **Returns** a `Solution` with residual, bond-length error and timings. **Raises** `ValueError` for
     input that does not fit; `SimulationError` if the run breaks down, naming step, bead and term,
