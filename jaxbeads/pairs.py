@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, PyTree
 
+from .shares import shared
 from .state import Load, Motion
 
 Field = Float[Array, "to of"]
@@ -79,16 +80,33 @@ def pair_sums(
     [-4. -1.  5.]
     """
     to = beads if to is None else to
-    number, others = (len(jax.tree.leaves(x)[0]) for x in (to, beads))
+    others = rows_of(beads)
     # XLA: a product with ones sums faster than `sum`.
     ones = jnp.ones(others, jax.tree.leaves(beads)[0].dtype)
+    return in_blocks(lambda to: [field @ ones for field in fields(to, beads)], to, others, PAIRS)
 
-    def block(to: PyTree) -> list[Array]:
-        return [field @ ones for field in fields(to, beads)]
 
-    count = -(-(number * others) // PAIRS)
+def rows_of(beads: PyTree) -> int:
+    """Of how many beads there are numbers."""
+    return len(jax.tree.leaves(beads)[0])
+
+
+def in_blocks(
+    sums: Callable[[Any], Sequence[Array]], to: PyTree, others: int, pairs: int
+) -> list[Array]:
+    """Sums over so many other beads, some beads at a time so that there are about so many pairs: a loop
+    that keeps nothing. Several devices share the beads (`shares`).
+    """
+    return shared(lambda to: _in_turn(sums, to, others, pairs), to, rows_of(to) * others)
+
+
+def _in_turn(
+    sums: Callable[[Any], Sequence[Array]], to: PyTree, others: int, pairs: int
+) -> list[Array]:
+    number = rows_of(to)
+    count = -(-(number * others) // pairs)
     if count <= 1:
-        return block(to)
+        return list(sums(to))
     rows = -(-number // count)
     count = -(-number // rows)
 
@@ -96,8 +114,8 @@ def pair_sums(
         padded = jnp.pad(x, [(0, count * rows - number)] + [(0, 0)] * (x.ndim - 1), mode="edge")
         return padded.reshape(count, rows, *x.shape[1:])
 
-    sums = lax.map(jax.checkpoint(block), jax.tree.map(cut, to))
-    return [x.ravel()[:number] for x in sums]
+    found = lax.map(jax.checkpoint(lambda to: list(sums(to))), jax.tree.map(cut, to))
+    return [x.ravel()[:number] for x in found]
 
 
 class Signed(eqx.Module):

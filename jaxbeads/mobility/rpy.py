@@ -8,9 +8,11 @@ import jax
 from jaxtyping import Array, Float
 
 from .. import fields, images, mirror, tensors
+from .._checks import whole
 from ..configuration import Configuration
 from ..domain import AbstractDomain, FreeSurface, NoSlipWall, Unbounded
 from ..pairs import PairTensor
+from ..shares import shared_out
 from ..state import Load, Motion, add_motions
 from .base import MOST_DENSE, AbstractMobility, Strain
 
@@ -58,6 +60,17 @@ class RPY(AbstractMobility):
       by a factorisation. Otherwise pairs are summed anew for each product, multipliers are iterated
       (to 1e-12), and memory grows like the number of beads; steps are those of `ESDIRK` or explicit,
       and steady states need the tables. By default up to 1000 beads.
+    - `devices`: how many devices share the pairs of beads out among them, where it is not dense (0: all,
+      of all processes). By default one does all. Results are the same to rounding.
+
+    For JAX a machine's cores are one device unless it is told otherwise, before it is first used, by
+    `jax.config.update("jax_num_cpu_devices", 2)` or in the shell:
+
+        XLA_FLAGS=--xla_force_host_platform_device_count=2 python run.py
+
+    Several processes run the same program, after `jax.distributed.initialize("localhost:12345", 2, 0)`
+    in the first and `("localhost:12345", 2, 1)` in the second (clusters tell it these numbers), and go
+    through `rollout`, whose steps depend on no clock.
 
     >>> import jax.numpy as jnp
     >>> import jaxbeads as jb
@@ -72,6 +85,11 @@ class RPY(AbstractMobility):
     domains: ClassVar[tuple[type[AbstractDomain], ...]] = tuple(_FORMS)
     strained: bool = eqx.field(static=True, default=True)
     dense: bool | None = eqx.field(static=True, default=None)
+    devices: int | None = eqx.field(static=True, default=None, kw_only=True)
+
+    def __check_init__(self) -> None:
+        if self.devices is not None:
+            whole("devices", self.devices, 0)
 
     def is_dense(self, beads: int) -> bool:
         """As `dense` says."""
@@ -79,15 +97,17 @@ class RPY(AbstractMobility):
 
     def motion(self, configuration: Configuration, load: Load) -> Motion:
         """M F, pair by pair."""
-        return _form(configuration).motion(configuration, load)
+        with shared_out(self.devices):
+            return _form(configuration).motion(configuration, load)
 
     def disturbance(
         self, configuration: Configuration, strain_rate: Float[Array, "*beads dim dim"]
     ) -> Motion | None:
         """C : E."""
-        return (
-            _form(configuration).disturbance(configuration, strain_rate) if self.strained else None
-        )
+        if not self.strained:
+            return None
+        with shared_out(self.devices):
+            return _form(configuration).disturbance(configuration, strain_rate)
 
     def tables(self, configuration: Configuration) -> PairTensor:
         """All pair tensors as `(beads, beads)` fields."""
