@@ -87,7 +87,13 @@ def pair_sums(
 
 
 def rows_of(beads: PyTree) -> int:
-    """Of how many beads there are numbers."""
+    """Of how many beads there are numbers.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.pairs import rows_of
+    >>> print(rows_of((jnp.ones((4, 3)), jnp.ones(4))))
+    4
+    """
     return len(jax.tree.leaves(beads)[0])
 
 
@@ -96,6 +102,12 @@ def in_blocks(
 ) -> list[Array]:
     """Sums over so many other beads, some beads at a time so that there are about so many pairs: a loop
     that keeps nothing. Several devices share the beads (`shares`).
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.pairs import in_blocks
+    >>> heights = jnp.array([0.0, 1.0, 3.0])  # two pairs at a time: bead after bead
+    >>> print(in_blocks(lambda to: [(to[:, None] > heights).sum(1)], heights, others=3, pairs=2)[0])
+    [0 1 2]
     """
     return shared(lambda to: _in_turn(sums, to, others, pairs), to, rows_of(to) * others)
 
