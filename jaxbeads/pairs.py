@@ -106,7 +106,9 @@ def in_blocks(
     >>> import jax.numpy as jnp
     >>> from jaxbeads.pairs import in_blocks
     >>> heights = jnp.array([0.0, 1.0, 3.0])  # two pairs at a time: bead after bead
-    >>> print(in_blocks(lambda to: [(to[:, None] > heights).sum(1)], heights, others=3, pairs=2)[0])
+    >>> def above(to):
+    ...     return [(to[:, None] > heights[None]).sum(1)]
+    >>> print(in_blocks(above, heights, others=3, pairs=2)[0])
     [0 1 2]
     """
     return shared(lambda to: _in_turn(sums, to, others, pairs), to, rows_of(to) * others)
