@@ -77,6 +77,7 @@ def simulate(
     steps = {"solver": solver, "tolerance": tolerance, "bond_tolerance": bond_tolerance}
     _refuse_traced("simulate", scene=scene, state=state, ts=ts, **steps)
     check(scene, state, overlap=overlap, single_precision=single_precision)
+    _refuse_processes(scene)
     state = scene.begin(state)
     increasing("ts", ts)
     times = float_array(ts).astype(state.position.dtype)
@@ -146,6 +147,7 @@ def resume(
     clock = Clock()
     steps = {"solver": solver, "tolerance": tolerance, "bond_tolerance": bond_tolerance}
     _refuse_traced("resume", scene=scene, **steps)
+    _refuse_processes(scene)
     last = load(file)
     times = planned_times(file)
     _refuse_traced("resume", file=(last, times))  # under `jit` nothing is known
@@ -165,6 +167,13 @@ def _refuse_traced(by: str, **arguments: Any) -> None:
         must = f"hold numbers that are known, which `{by}` must see"
         how = f"`jax.grad`, `jit` or `vmap` traces `{path}`: use `rollout`, through which they go"
         fail(re.split(r"[.\[]", path)[0], must, how, "How do I differentiate a result?")
+
+
+def _refuse_processes(scene: Scene) -> None:
+    """Refuse devices of several processes: how far each goes on alone is chosen by its own clock."""
+    if getattr(scene.mobility, "devices", None) is not None and jax.process_count() > 1:
+        must = "use devices of one process alone in `simulate`, which goes by its clock"
+        fail("scene.mobility", must, f"there are {jax.process_count()}: use `rollout`")
 
 
 def _warn_of_large_step(scene: Scene, stepper: Stepper, ts: Array) -> None:

@@ -151,13 +151,17 @@ def test_few_pairs_are_not_shared():
     assert sum(BEADS) ** 2 < LEAST and text(1) == text(None) == text(0)
 
 
-def test_what_is_refused():
+def test_what_is_refused(monkeypatch):
     many = len(jax.devices()) + 1
     with pytest.raises(ValueError, match="`devices` must be at least 0"):
         RPY(devices=-1)
     x = np.arange(900.0).reshape(300, 3)
     with pytest.raises(ValueError, match=f"`devices` must be at most {many - 1}, .* it is {many}"):
         RPY(devices=many).motion(Configuration(x, 1.0, 1.0), Load(jnp.asarray(x)))
+
+    monkeypatch.setattr(jax, "process_count", lambda: 2)
+    with pytest.raises(ValueError, match="`scene.mobility` must use devices of one process alone"):
+        jb.simulate(*model(0), [0.0, 1.0], progress=False)
 
 
 def test_a_file_goes_on_with_other_devices(tmp_path):
