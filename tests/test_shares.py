@@ -160,7 +160,9 @@ def test_what_is_refused(monkeypatch):
         RPY(devices=many).motion(Configuration(x, 1.0, 1.0), Load(jnp.asarray(x)))
 
     monkeypatch.setattr(jax, "process_count", lambda: 2)
-    with pytest.raises(ValueError, match="`scene.mobility` must use devices of one process alone"):
+    with pytest.raises(
+        ValueError, match=r"`scene\.mobility` must use devices of one process alone"
+    ):
         jb.simulate(*model(0), [0.0, 1.0], progress=False)
 
 
