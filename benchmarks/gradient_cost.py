@@ -8,8 +8,9 @@ Time: medians, in turns, of the forward run, of value and gradient in reverse, a
 derivative in forward mode. Memory is what the compiled gradient needs beside arguments and results.
 Errors: reverse against central differences of fourth order along a random direction, and against
 forward mode along it, relative; with adaptive steps differences are as rough as the tolerance, 1e-6,
-lets the steps change. The last rows are implicit derivatives: of a steady shape by Newton's method, and
-of a periodic swimmer by shooting.
+lets the steps change. Rows of `ESDIRK` are of a cloud, by viscosity and rigidity; not in `--quick`, as
+their programs take minutes to compile. The last rows are implicit derivatives: of a steady shape by
+Newton's method, and of a periodic swimmer by shooting.
 
 Unless XLA_FLAGS is set, fusions are compiled by XLA's older code generator, as `README.md` here says of
 gradients; `XLA_FLAGS= python ...` measures the default.
@@ -93,6 +94,27 @@ def adaptive(beads: int, tolerance: float) -> Case:
     steps = int(run(scene).steps)
     name = f"default, adaptive, N = {beads}, {steps} steps"
     return varied(name, scene, lambda s: run(s).final.position, steps)
+
+
+def cloud(fibres: int, beads: int, steps: int | None) -> Case:
+    """Fibres that settle together, by equal steps of `ESDIRK`, or by those that it chooses."""
+    case = jb.scenes.cloud(fibres, beads, 1000.0, 0.5)
+    state, end = case.state, float(case.ts[-1])
+    solver = jb.ESDIRK(tolerance=1e-4) if steps is None else jb.ESDIRK(substeps=steps)
+    ts = np.array([0.0, 0.25 * end if steps is None else 0.025 * end * steps])
+
+    def run(scene: jb.Scene) -> jb.Solution:
+        return jb.rollout(scene, state, ts, solver=solver)
+
+    taken = int(run(case.scene).steps)
+    name = f"ESDIRK{'' if steps else ', adaptive'}, {fibres} x {beads}, {taken} steps"
+    weights = np.random.default_rng(0).normal(size=state.position.shape)
+    value = jb.vary(
+        lambda scene: jnp.sum(weights * run(scene).final.position),
+        case.scene,
+        lambda scene: (scene.viscosity, scene.forces[1].rigidity),
+    )
+    return Case(name, value, value.start, 1e-4, taken)
 
 
 def steady(beads: int) -> Case:
@@ -184,6 +206,8 @@ def cases(quick: bool) -> list[Callable[[], Case]]:
         lambda: settling(20, 3, 1_000),
         lambda: settling(50, 3, 1_000),
         lambda: settling(20, 2, 1_000, jb.Rosenbrock, 10.0),
+        lambda: cloud(8, 20, 4),
+        lambda: cloud(8, 20, None),
         *last,
         lambda: periodic(12),
     ]

@@ -10,8 +10,10 @@ changed, and takes each away to see that the results stay. The rest of the packa
 - `custom_vmap`, `HAS_RULES`: functions with a rule of their own under `vmap`.
 - `working_potrf`, `CALLS_OF_KNOWN_COST`: LAPACK's Cholesky factor without copies; whether it is
   known how jaxlib shares calls of LAPACK out to threads.
-- `over_devices`, `meet`: one program on several devices; processes wait for each other.
-- `CompileClock`: seconds spent compiling. `forget_cache`: after the cache's folder was named.
+- `over_devices`, `meet`: one program on several devices; processes wait for each other. `by_shares`: a
+  part of a program on several devices.
+- `CompileClock`: seconds spent compiling. `held_memory`: what a program holds. `forget_cache`:
+  after the cache's folder was named.
 - `hidden`: an array of which the compiler knows nothing.
 
 **Tricks that rest on how XLA compiles** and are plain arithmetic stay where they are, each beside a
@@ -268,6 +270,18 @@ def over_devices(function: Callable[[Any], Any], mesh: Mesh, spec: PartitionSpec
     return run
 
 
+def by_shares(function: Callable[[Any], Any], rows: PyTree, mesh: Mesh, spec: PartitionSpec) -> Any:
+    """A function of rows of which each device of a mesh takes its share; all get the results of all."""
+    if _shard_map is None:
+        return function(rows)
+    whole = NamedSharding(mesh, PartitionSpec())
+    several = _shard_map(function, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
+    # On either side whole: else what comes before and after is spread, too, number by number.
+    rows = lax.with_sharding_constraint(rows, whole)
+    # One program: outside of any, it would be compiled line by line.
+    return lax.with_sharding_constraint(jax.jit(several)(rows), whole)
+
+
 def meet(name: str) -> None:
     """Wait until all processes have come here."""
     if _sync is not None:
@@ -299,6 +313,17 @@ COMPILING = (
     "/jax/core/compile/backend_compile_duration",
 )
 """Names of what JAX reports of its tracing, lowering and compiling."""
+
+
+def held_memory(function: Any, *arguments: Any) -> int | None:
+    """Bytes that the program of a function of `equinox.filter_jit` holds, its arguments and results
+    included; `None` where it does not say. The next call finds it compiled.
+    """
+    program = getattr(function.lower(*arguments).compile(), "compiled", None)
+    analysis = getattr(program, "memory_analysis", lambda: None)()
+    names = "argument_size_in_bytes", "output_size_in_bytes", "temp_size_in_bytes"
+    sizes = [size for name in names if (size := getattr(analysis, name, None)) is not None]
+    return sum(map(int, sizes)) if len(sizes) == len(names) else None
 
 
 def forget_cache() -> None:

@@ -50,8 +50,9 @@ _READ = (1, 2)
 _COLUMNS = ("t", "position", "residual", "bond_length_error")
 _OWN = "own_"
 """Name of what a force owns, before the number of the force."""
-_LIMITS = ("solver.max_steps",)
-"""What decides on no number of a run that ends well, and may be another when it is resumed."""
+_LIMITS = ("solver.max_steps", "scene.mobility.devices")
+"""What decides on no number of a run that ends well (devices: but for rounding), and may be another when
+it is resumed."""
 
 
 def _leaves(tree: Any) -> list[np.ndarray]:

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, PyTree
 
+from .shares import shared
 from .state import Load, Motion
 
 Field = Float[Array, "to of"]
@@ -86,7 +87,13 @@ def pair_sums(
 
 
 def rows_of(beads: PyTree) -> int:
-    """Of how many beads there are numbers."""
+    """Of how many beads there are numbers.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.pairs import rows_of
+    >>> print(rows_of((jnp.ones((4, 3)), jnp.ones(4))))
+    4
+    """
     return len(jax.tree.leaves(beads)[0])
 
 
@@ -94,8 +101,22 @@ def in_blocks(
     sums: Callable[[Any], Sequence[Array]], to: PyTree, others: int, pairs: int
 ) -> list[Array]:
     """Sums over so many other beads, some beads at a time so that there are about so many pairs: a loop
-    that keeps nothing.
+    that keeps nothing. Several devices share the beads (`shares`).
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.pairs import in_blocks
+    >>> heights = jnp.array([0.0, 1.0, 3.0])  # two pairs at a time: bead after bead
+    >>> def above(to):
+    ...     return [(to[:, None] > heights[None]).sum(1)]
+    >>> print(in_blocks(above, heights, others=3, pairs=2)[0])
+    [0 1 2]
     """
+    return shared(lambda to: _in_turn(sums, to, others, pairs), to, rows_of(to) * others)
+
+
+def _in_turn(
+    sums: Callable[[Any], Sequence[Array]], to: PyTree, others: int, pairs: int
+) -> list[Array]:
     number = rows_of(to)
     count = -(-(number * others) // pairs)
     if count <= 1:

@@ -24,6 +24,7 @@ from .coefficients import factors, separate
 from .configuration import Configuration
 from .domain import AbstractHalfSpace, Unbounded
 from .pairs import CROSS, Radii, radii_of, separations
+from .shares import shared
 from .state import Load, Motion, spins
 from .tensors import as_motion, pushed, rpy_motion
 
@@ -219,7 +220,11 @@ def _motion(configuration: Configuration, load: Load, single: bool) -> Motion:
         pieces, single = (beads,), False  # blocks of several pieces are too wide for that
     rows = blocks_of(pieces, int(np.clip(PAIRS // beads, *ROWS)))
     (every, task), numbers = beads_of(configuration, load, single), jnp.arange(beads)
-    found = lax.map(lambda at: block_sums(at, every, every, numbers, task), jnp.asarray(rows))
+
+    def blocks(rows: Array) -> list[Array]:
+        return lax.map(lambda at: block_sums(at, every, every, numbers, task), rows)
+
+    found = shared(blocks, jnp.asarray(rows), beads * beads)
     return joined(found, rows, configuration)
 
 

@@ -18,13 +18,13 @@ import numpy as np
 from jaxtyping import Array
 
 from ._checks import described, fail, positive, whole
-from ._compat import CompileClock
+from ._compat import CompileClock, held_memory
 from ._typing import with_all_digits
 from .breakdown import SimulationError, locate
 from .dynamics import named
 from .files import TrajectoryFile
 from .outcome import Outcome
-from .progress import Bar, Pace
+from .progress import Bar, Forecast, Pace
 from .rollout import Stepper, beyond, diagnostics, law_errors
 from .scene import Scene
 from .solution import Solution, name_number
@@ -122,6 +122,8 @@ class Run:
     target: TrajectoryFile | None = None
     parts: list[Solution] = field(default_factory=list)
     piece: _Piece | None = None
+    forecast: Forecast | None = None
+    """Not yet told."""
     looked: float = 0.0
 
     def __post_init__(self) -> None:
@@ -147,6 +149,7 @@ class Run:
         try:
             begun, now, end = (float(times[k]) for k in (0, done, -1))
             with Bar(begun, end, now, self.progress, self.clock.compiling.read) as bar:
+                self.foretell(carry, first, done, bar)
                 while done < intervals:
                     # Where chunks end does not depend on where the run was resumed.
                     last = (done // length + 1) * length
@@ -170,6 +173,26 @@ class Run:
         _warn_of_laws(self.scene, self.stepper, solution)
         return solution
 
+    def foretell(self, carry: Carry, first: Solution, done: int, bar: Bar) -> None:
+        """Say what a long run will take: by the time of an evaluation, before the first step."""
+        if not self.progress or done >= len(self.ts) - 1:
+            return
+        begin = time.perf_counter()
+        jax.block_until_ready(_diagnostics(self.scene, first.ts[-1:], first.states))
+        seconds, left = time.perf_counter() - begin, len(self.ts) - 1 - done
+        self.forecast = Forecast.of(self.stepper, self.scene.chain.beads, left, seconds)
+        if self.forecast.known:
+            self.tell(carry, done, bar)
+
+    def tell(self, carry: Carry, index: int, bar: Bar) -> None:
+        """The forecast, if it is of a long run."""
+        forecast, self.forecast = self.forecast, None
+        if forecast is not None and forecast.long:
+            # The run, too, finds this program compiled.
+            t0, t1 = self.times[index : index + 2]
+            given = self.stepper, self.scene, carry, t0, t1, np.asarray(1)
+            bar.say(forecast.sentence(held_memory(_stretch, *given)))
+
     def stretch(self, carry: Carry, index: int) -> tuple[Carry, State, Array]:
         """Some more steps of an interval."""
         self.pace.begin()
@@ -187,6 +210,9 @@ class Run:
             states = piece.states if unfinished else [*piece.states, state]
             # In one piece: an interrupt finds it as it was before, or as it is after.
             self.piece = _Piece(piece.before, piece.first, states, carry)
+            if self.forecast is not None and (each := self.pace.each) is not None:
+                self.forecast = self.forecast.after(1, each)
+                self.tell(carry, index, bar)
             bar.tell(float(t if unfinished else self.times[index + 1]), int(carry.steps))
             if time.perf_counter() - self.looked > _WRITE:
                 self.look()

@@ -32,6 +32,7 @@ from .products import (
     joined,
     separate_sums,
 )
+from .shares import shared
 from .state import Load, Motion
 from .tensors import rpy_motion
 
@@ -142,9 +143,12 @@ def _sums(every: Beads, task: Task, segments: _Segments, near: Array) -> list[Ar
         to = Beads(at[some].reshape(count * each, -1), None, Load())
         return separate_sums(to, of, task, apart)[0]
 
-    moved = lax.map(far, jnp.asarray(groups))
+    pairs = number * each * number * each
+    moved = shared(lambda some: lax.map(far, some), jnp.asarray(groups), pairs)
     spread = [jnp.einsum("sbp,sp->sb", weights, v.reshape(-1, each)[:number]) for v in moved]
-    return [a + b for a, b in zip(lax.map(close, jnp.arange(number)), spread, strict=True)]
+    pairs = rows.size * segments.room * rows.shape[1]
+    together = shared(lambda some: lax.map(close, some), jnp.arange(number), pairs)
+    return [a + b for a, b in zip(together, spread, strict=True)]
 
 
 def motion(configuration: Configuration, load: Load, error: float) -> Motion:

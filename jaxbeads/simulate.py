@@ -59,7 +59,8 @@ def simulate(
     - `chunk`: save times in a chunk; shortened to a divisor of their number.
     - `file`: HDF5 file that is written while running; `resume` continues it. An older one is replaced
       once the run has begun; one that another run writes is left alone.
-    - `progress`: show a bar with the time reached and the steps taken.
+    - `progress`: show a bar with the time reached and the steps taken, and say beforehand what a run of
+      more than about a minute will take: memory, steps, seconds.
 
     **Returns** a `Solution` with residual, bond-length error and timings. **Raises** `ValueError` for
     input that does not fit; `SimulationError` if the run breaks down, naming step, bead and term,
@@ -76,6 +77,7 @@ def simulate(
     steps = {"solver": solver, "tolerance": tolerance, "bond_tolerance": bond_tolerance}
     _refuse_traced("simulate", scene=scene, state=state, ts=ts, **steps)
     check(scene, state, overlap=overlap, single_precision=single_precision)
+    _refuse_processes(scene)
     state = scene.begin(state)
     increasing("ts", ts)
     times = float_array(ts).astype(state.position.dtype)
@@ -145,6 +147,7 @@ def resume(
     clock = Clock()
     steps = {"solver": solver, "tolerance": tolerance, "bond_tolerance": bond_tolerance}
     _refuse_traced("resume", scene=scene, **steps)
+    _refuse_processes(scene)
     last = load(file)
     times = planned_times(file)
     _refuse_traced("resume", file=(last, times))  # under `jit` nothing is known
@@ -164,6 +167,13 @@ def _refuse_traced(by: str, **arguments: Any) -> None:
         must = f"hold numbers that are known, which `{by}` must see"
         how = f"`jax.grad`, `jit` or `vmap` traces `{path}`: use `rollout`, through which they go"
         fail(re.split(r"[.\[]", path)[0], must, how, "How do I differentiate a result?")
+
+
+def _refuse_processes(scene: Scene) -> None:
+    """Refuse devices of several processes: how far each goes on alone is chosen by its own clock."""
+    if getattr(scene.mobility, "devices", None) is not None and jax.process_count() > 1:
+        must = "use devices of one process alone in `simulate`, which goes by its clock"
+        fail("scene.mobility", must, f"there are {jax.process_count()}: use `rollout`")
 
 
 def _warn_of_large_step(scene: Scene, stepper: Stepper, ts: Array) -> None:

@@ -3,6 +3,7 @@
 import dataclasses
 import importlib
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -22,8 +23,8 @@ from jaxbeads import AB3, Chain, Scene, SimulationError, load, resume, simulate,
 from jaxbeads.constraint import Gears
 from jaxbeads.flow import VelocityField
 from jaxbeads.force import Bending, ForceField, Weight
-from jaxbeads.progress import Bar, Pace
-from jaxbeads.solver import Diffrax
+from jaxbeads.progress import Bar, Forecast, Pace
+from jaxbeads.solver import ESDIRK, Diffrax, FixedSteps
 
 CHAIN = Chain(1.0, 6)
 TIMES = np.linspace(0.0, 2.0, 13)
@@ -135,21 +136,27 @@ def test_interrupt_leaves_a_valid_file(tmp_path):
     assert bits(load(path)) == bits(whole)
 
 
-@pytest.mark.parametrize("options", [{"substeps": 4000}, {"tolerance": 1e-9}], ids=str)
+@pytest.mark.parametrize(
+    "options",
+    [{"substeps": 4000}, {"tolerance": 1e-9}, {"solver": ESDIRK(tolerance=1e-10)}],
+    ids=str,
+)
 def test_a_run_goes_on_from_the_middle_of_an_interval(options, tmp_path, monkeypatch):
-    # Steps in stretches of 1, 8 and 2: the same bits, a file after each, and Ctrl-C between two of them.
+    # Steps in stretches of 1, then 8 (2 of few steps): the same bits, a file after each, and Ctrl-C
+    # between two of them.
     module = importlib.import_module("jaxbeads.run")
     path, state, times = tmp_path / "run.h5", bent(CHAIN), [0.0, 40.0, 80.0]
     whole = simulate(model(), state, times, progress=False, **options)
     steps = int(whole.steps)
+    most = 8 if steps > 100 else 2
     monkeypatch.setattr(module, "_WRITE", -1.0)
-    monkeypatch.setattr(module.Pace, "taken", lambda self, *_: setattr(self, "most", 8))
+    monkeypatch.setattr(module.Pace, "taken", lambda self, *_: setattr(self, "most", most))
     assert bits(simulate(model(), state, times, progress=False, **options)) == bits(whole)
     seen = []
 
     def press_ctrl_c(self, t, taken):
         seen.append((t, taken))
-        if taken > 0.7 * steps:
+        if t > 50.0:
             raise KeyboardInterrupt
 
     monkeypatch.setattr(module.Bar, "tell", press_ctrl_c)
@@ -212,6 +219,54 @@ def test_a_run_tells_its_bar_what_it_compiles(monkeypatch):
     simulate(model(), bent(CHAIN), [0.0, 0.1], substeps=1, progress=False)
     (bar,) = bars
     assert bar.compiled() > 0 and bar.begun
+
+
+def test_a_long_run_says_beforehand_what_it_takes(monkeypatch, capsys):
+    # By the time of an evaluation, or where that is too short to be timed, by that of the first steps.
+    progress, said = importlib.import_module("jaxbeads.progress"), []
+    monkeypatch.setattr(Bar, "say", lambda self, text: said.append((self.begun, text)))
+    simulate(model(), bent(CHAIN), TIMES, substeps=2)
+    assert not said
+    monkeypatch.setattr(progress, "_LONG", 0.0)
+    cases = {
+        "12000 steps of about .* each (as the velocities), .* in all": {"substeps": 1000},
+        "steps of about .* each (as 25 times the velocities), .* for 100": {"tolerance": 1e-5},
+    }
+    for call, begun in ((0.0, False), (1e-9, False), (0.02, True)):
+        monkeypatch.setattr(progress, "_CALL", call)
+        for text, options in cases.items():
+            said.clear()
+            simulate(model(), bent(CHAIN), TIMES, **options)
+            # Steps of a controller are too few here to be timed.
+            assert len(said) == (0 if begun and "tolerance" in options else 1)
+            text = text.replace("(", r"\(").replace(")", r"\)")
+            for now, sentence in said:
+                assert now == begun and re.fullmatch(
+                    f"6 beads, .* GiB of memory: {text}.*", sentence
+                )
+    simulate(model(), bent(CHAIN), TIMES, substeps=1000, progress=False)
+    assert len(said) == 0
+    capsys.readouterr()
+    with Bar(0.0, 1.0, 0.0, shown=True) as bar:
+        monkeypatch.undo()
+        bar.say("as long as it takes")
+    assert "as long as it takes\n" in capsys.readouterr().err
+
+
+def test_a_forecast_is_what_steps_take():
+    # Of equal steps all, of others a hundred.
+    stepper = FixedSteps(AB3(substeps=30))
+    equal = Forecast.of(stepper, 1000, 20, 0.2)
+    assert equal.steps == 600 and abs(equal.whole - 120.0) < 1e-9 and equal.long
+    assert abs(equal.after(8, 4.0).whole - 300.0) < 1e-9
+    assert equal.sentence(2**28).endswith(
+        "0.25 GiB of memory: 600 steps of about 0.20 s each (as the velocities), 2.0 min in all"
+    )
+    chosen = Forecast(1000, None, 5, 0.1)
+    assert abs(chosen.whole - 50.0) < 1e-9 and not chosen.long
+    assert "1000 beads: steps of about 0.50 s each (as 5 times the velocities), 50 s for 100" in (
+        chosen.sentence(None)
+    )
 
 
 def test_a_pace_of_half_a_second():

@@ -20,7 +20,7 @@ ORDER = [
     {"factors", "units", "optimum"},
     {"iterations"},
     {"storage"},
-    {"vary", "optimise", "chunks", "cache", "contents"},
+    {"vary", "optimise", "chunks", "cache", "contents", "shares"},
     {"state", "geometry"},
     {"pairs"},
     {"coefficients", "configuration"},

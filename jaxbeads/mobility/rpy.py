@@ -8,10 +8,11 @@ import jax
 from jaxtyping import Array, Float
 
 from .. import fields, images, mirror, products, segments, tensors
-from .._checks import fail
+from .._checks import fail, whole
 from ..configuration import Configuration
 from ..domain import AbstractDomain, FreeSurface, NoSlipWall, Unbounded
 from ..pairs import PairTensor
+from ..shares import shared_out
 from ..state import Load, Motion, add_motions
 from .base import MOST_DENSE, AbstractMobility, Strain
 
@@ -63,6 +64,17 @@ class RPY(AbstractMobility):
       have in an unbounded fluid, where there are no tables; from 1e-6 on they are in single precision,
       and from some 6000 beads in long fibres on their segments interact by a few beads
       (`jaxbeads.segments`). Derivatives are those of the exact sums. 0: none but rounding.
+    - `devices`: how many devices share the pairs of beads out among them, where it is not dense (0: all,
+      of all processes). By default one does all. Results are the same to rounding.
+
+    For JAX a machine's cores are one device unless it is told otherwise, before it is first used, by
+    `jax.config.update("jax_num_cpu_devices", 2)` or in the shell:
+
+        XLA_FLAGS=--xla_force_host_platform_device_count=2 python run.py
+
+    Several processes run the same program, after `jax.distributed.initialize("localhost:12345", 2, 0)`
+    in the first and `("localhost:12345", 2, 1)` in the second (clusters tell it these numbers), and go
+    through `rollout`, whose steps depend on no clock.
 
     **Raises** `ValueError` for an error that is not between 1e-10 and 1e-3, or 0.
 
@@ -79,11 +91,14 @@ class RPY(AbstractMobility):
     domains: ClassVar[tuple[type[AbstractDomain], ...]] = tuple(_FORMS)
     strained: bool = eqx.field(static=True, default=True)
     dense: bool | None = eqx.field(static=True, default=None)
-    far_error: float = eqx.field(static=True, default=0.0)
+    far_error: float = eqx.field(static=True, default=0.0, kw_only=True)
+    devices: int | None = eqx.field(static=True, default=None, kw_only=True)
 
     def __check_init__(self) -> None:
         if self.far_error != 0 and not 1e-10 <= self.far_error <= 1e-3:
             fail("far_error", "be 0 or between 1e-10 and 1e-3", f"it is {self.far_error:g}")
+        if self.devices is not None:
+            whole("devices", self.devices, 0)
 
     def is_dense(self, beads: int) -> bool:
         """As `dense` says."""
@@ -92,17 +107,19 @@ class RPY(AbstractMobility):
     def motion(self, configuration: Configuration, load: Load) -> Motion:
         """M F, pair by pair."""
         form = _form(configuration)
-        if form is _FREE and self.far_error:
-            return segments.motion(configuration, load, self.far_error)
-        return form.motion(configuration, load)
+        with shared_out(self.devices):
+            if form is _FREE and self.far_error:
+                return segments.motion(configuration, load, self.far_error)
+            return form.motion(configuration, load)
 
     def disturbance(
         self, configuration: Configuration, strain_rate: Float[Array, "*beads dim dim"]
     ) -> Motion | None:
         """C : E."""
-        return (
-            _form(configuration).disturbance(configuration, strain_rate) if self.strained else None
-        )
+        if not self.strained:
+            return None
+        with shared_out(self.devices):
+            return _form(configuration).disturbance(configuration, strain_rate)
 
     def tables(self, configuration: Configuration) -> PairTensor:
         """All pair tensors as `(beads, beads)` fields."""

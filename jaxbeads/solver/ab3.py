@@ -89,6 +89,7 @@ class AB3(AbstractSolver):
 
     equal_steps: ClassVar[bool] = True
     stable_to: ClassVar[float | None] = 2.2
+    evaluations: ClassVar[float] = 1
 
     @property
     def scheme(self) -> AdamsBashforth:

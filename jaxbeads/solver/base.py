@@ -64,6 +64,8 @@ class AbstractSolver(eqx.Module):
     """Whether no rate of the scene bounds its steps; then they need derivatives of its terms."""
     stable_to: ClassVar[float | None] = None
     """Its longest stable step over `explicit_step`, if it is known."""
+    evaluations: ClassVar[float] = 6
+    """Evaluations of the velocities that take as long as a step, about: what a run tells beforehand."""
     hopeless: ClassVar[Any] = None
     """The result of a step where no smaller one would do better, if there is one."""
 

@@ -236,6 +236,7 @@ class ESDIRK(AbstractSolver):
 
     keeps_bonds: ClassVar[bool] = True
     implicit: ClassVar[bool] = True
+    evaluations: ClassVar[float] = 5
 
     @property
     def scheme(self) -> Esdirk:

@@ -148,6 +148,7 @@ class Rosenbrock(AbstractSolver):
     needs_matrix: ClassVar[bool] = True
     implicit: ClassVar[bool] = True
     hopeless: ClassVar[Any] = _SINGULAR
+    evaluations: ClassVar[float] = 25
 
     @property
     def scheme(self) -> Rodas:
