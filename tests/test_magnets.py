@@ -9,7 +9,7 @@ import pytest
 from cases import bent, jointed, turning_field
 
 import jaxbeads as jb
-from jaxbeads import Chain, Scene, Setting, State, dynamics, observables, rollout, straight
+from jaxbeads import Chain, Scene, Setting, State, dynamics, observables, rollout, scenes, straight
 from jaxbeads.constraint import EqualSpins, Gears, Inextensible, Joint
 from jaxbeads.force import (
     Bending,
@@ -22,6 +22,7 @@ from jaxbeads.force import (
     Spring,
 )
 from jaxbeads.magnetism import HarmonicField, UniformField, dipole_energy
+from jaxbeads.mobility import FreeDraining
 from jaxbeads.solver import ESDIRK, Rosenbrock
 
 T0, MU0 = jnp.zeros(()), 5.0
@@ -361,3 +362,70 @@ def test_moments_need_tangents():
     assert not load[0].any() and load[1:].any()
     with pytest.raises(ValueError, match="must have fibres of two beads or more"):
         jb.check(Scene(chain, 1.0, constraints=[Gears()], forces=[force]), state)
+
+
+BY_NAME = {ready.name: ready for ready in scenes.SCENES}
+
+
+@pytest.mark.parametrize("frequency", [0.2, 0.95, 1.05, 1.5, 4.0])
+def test_step_out_of_a_rod(frequency):
+    # The mean rate of turning over that of the field: 1, and 1 - sqrt(1 - (omega_so/omega)^2) above.
+    case = scenes.magnetic_rod(4, frequency)
+    run = case.simulate(progress=False)
+    found = BY_NAME["magnetic-rod"].observables(case, run)["mean_rotation"]
+    law = 1.0 if frequency < 1 else 1 - np.sqrt(1 - 1 / frequency**2)
+    assert abs(found - law) < 1e-6
+    position = np.asarray(run.states.position)
+    assert np.abs(position.mean(axis=1)).max() < 1e-6  # it stays where it is
+
+
+@pytest.mark.parametrize("beads", [2, 5, 10])
+def test_step_out_frequency_is_that_of_the_rigid_rod(beads):
+    # The friction of touching rods, over 8 pi mu a^3, computed elsewhere: 3.707317 (2), 167.347576 (10).
+    case = scenes.magnetic_rod(beads, 0.5)
+    (force,) = case.scene.forces
+    friction = {2: 3.707317, 10: 167.347576}.get(beads)
+    if friction is not None:
+        assert abs(float(force.moment) * beads / (8 * np.pi) - friction) < 0.6e-6
+    spin = dynamics.motion(np.pi, case.state, case.scene).spin  # the field is across
+    assert np.abs(spin - 1).max() < 1e-12
+
+
+def swum(case, **options):
+    run = case.simulate(progress=False, **options)
+    assert run.status == "stopped by `until`"
+    return BY_NAME["magnetic-swimmer"].observables(case, run)
+
+
+def test_a_magnetic_tail_swims_as_the_square_of_the_field():
+    fine = {"tolerance": 1e-9}
+    weak, strong = (swum(scenes.magnetic_swimmer(5, 2.0, b), **fine) for b in (0.05, 0.1))
+    assert abs(strong["speed"] / weak["speed"] - 4) < 0.1  # the next term is of the fourth order
+    assert strong["direction"] > 0.999  # the free end goes first
+
+
+def test_a_magnetic_tail_swims_best_in_between():
+    # Slow beats come and go on one way, of fast ones little is left.
+    slow, best, fast = (
+        swum(scenes.magnetic_swimmer(5, sp, 0.5))["speed"] for sp in (1.0, 2.0, 4.0)
+    )
+    assert best > 2 * slow and best > 10 * fast and slow > 0
+
+
+def test_a_tail_without_a_head_does_not_swim():
+    # It is its own image in a point, and stays so.
+    bare = swum(scenes.magnetic_swimmer(6, 2.0, 0.5, head=0.0))
+    assert bare["speed"] < 1e-9
+
+
+def test_no_magnetic_swimming_without_interactions():
+    # No force in all: beads that do not feel one another leave the mean of a r where it is.
+    case = scenes.magnetic_swimmer(5, 2.0, 0.5)
+    scene = eqx.tree_at(lambda s: s.mobility, case.scene, FreeDraining())
+    run = case._replace(scene=scene, ts=case.ts[:81], until=None).simulate(progress=False)
+    position, radii = np.asarray(run.states.position), np.asarray(scene.chain.radii)
+    moved = dynamics.motion(0.37, State(position[-1]), scene).velocity
+    assert np.abs(radii @ moved).max() < 1e-12 * np.abs(moved).max()
+    mean = np.einsum("tbd,b->td", position, radii) / radii.sum()
+    assert np.abs(mean - mean[0]).max() < case.tolerance * float(scene.chain.length[0])
+    assert np.abs(position[-1] - position[0]).max() > 1e-2  # it bends
