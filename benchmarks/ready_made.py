@@ -3,9 +3,10 @@
     python benchmarks/ready_made.py [--quick] [--json] [--save]
 
 Each scene is run as `python -m jaxbeads ...`, without compiled programs of earlier runs. Its references
-without a source were computed with independent codes (of the rod: in closed form); `tests/test_scenes.py` holds these and more, with
-the error of each run. Above a no-slip wall: the drag of a sphere of radius a that does not turn, its
-centre at a height h, and of a rigid rod of 10 beads parallel to it. References are to the digits shown.
+without a source were computed with independent codes (that of the magnetic rod is a closed form);
+`tests/test_scenes.py` and `tests/test_magnets.py` hold these and more. Above a no-slip wall: the drag
+of a sphere of radius a that does not turn, its centre at a height h, and of a rigid rod of 10 beads
+parallel to it. References are to the digits shown.
 """
 
 import json
