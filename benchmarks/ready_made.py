@@ -3,9 +3,10 @@
     python benchmarks/ready_made.py [--quick] [--json] [--save]
 
 Each scene is run as `python -m jaxbeads ...`, without compiled programs of earlier runs. Its references
-without a source were computed with independent codes; `tests/test_scenes.py` holds these and more, with
-the error of each run. Above a no-slip wall: the drag of a sphere of radius a that does not turn, its
-centre at a height h, and of a rigid rod of 10 beads parallel to it. References are to the digits shown.
+without a source were computed with independent codes (that of the magnetic rod is a closed form);
+`tests/test_scenes.py` and `tests/test_magnets.py` hold these and more. Above a no-slip wall: the drag
+of a sphere of radius a that does not turn, its centre at a height h, and of a rigid rod of 10 beads
+parallel to it. References are to the digits shown.
 """
 
 import json
@@ -32,8 +33,18 @@ SCENES = {
         "friction_ratio": "0.7059",
     },
     "relaxation --beads 34 --mode 1": {"rate": "108.534"},
+    "cloud --fibres 8 --beads 10 --spacing 0.6": {
+        "speed": "3.24564",
+        "spread": "0.70082",
+        "spread_lateral": "1.11903",
+    },
+    "shear-suspension --fibres 4 --beads 6 --spacing 0.6": {
+        "curvature": "0.80456",
+        "shear_stress": "0.04714",
+    },
+    "magnetic-rod --beads 10 --frequency 1.5": {"mean_rotation": "0.25464"},
 }
-QUICK = tuple(SCENES)[::2]
+QUICK = "jeffery --beads 20", "settling --beads 34 --elasto-gravitational 1000"
 # Of each height over the radius: along and across the rod, towards the wall; over 6 pi mu a.
 SPHERE = {
     10.07: (1.05903, 1.05903, 1.12515),

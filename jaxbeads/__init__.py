@@ -15,6 +15,7 @@ from . import dynamics as dynamics
 from . import flow as flow
 from . import force as force
 from . import geometry as geometry
+from . import magnetism as magnetism
 from . import mobility as mobility
 from . import objectives as objectives
 from . import observables as observables

@@ -31,11 +31,15 @@ from jaxbeads.force import (
     DrivingMoment,
     Follower,
     ForceField,
+    MagneticFibre,
+    ParamagneticBeads,
+    ParamagneticFibre,
     Potential,
     SineRuleCurvature,
     Spring,
     Weight,
 )
+from jaxbeads.magnetism import HarmonicField, MagneticField, UniformField
 from jaxbeads.mobility import RPY, FreeDraining
 from jaxbeads.solver import AbstractSolver, Diffrax, Rosenbrock
 
@@ -73,6 +77,11 @@ def flows(dim):
     ]
 
 
+def turning_field(dim):
+    vectors = np.array([[0.9, 0.2, 0.1], [-0.3, 1.1, 0.4], [0.5, 0.0, 0.2]])[:, :dim]
+    return HarmonicField(1.5, *vectors)
+
+
 def forces(dim):
     """Each acts on a chain of any number of beads."""
     return [
@@ -91,6 +100,10 @@ def forces(dim):
         Follower(0.7, end=0),
         ForceField(lambda t, x: -0.1 * x),
         Potential(lambda t, x: 0.05 * jnp.sum(x**2) * (1 + t)),
+        MagneticFibre(0.6, turning_field(dim), permeability=5.0),
+        MagneticFibre(0.6, lambda t, x: jnp.sin(0.1 * x[::-1] + t)),
+        ParamagneticFibre(0.8, turning_field(dim)),
+        ParamagneticBeads(0.9, UniformField(np.array([1.0, 0.4, -0.3])[:dim]), permeability=5.0),
     ]
 
 
@@ -169,6 +182,7 @@ def spatial(state: State) -> State:
 NUMBER, LENGTH, TIME, FORCE = (0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)
 RATE, CURVATURE, VELOCITY, MOMENT = (0, -1, 0), (-1, 0, 0), (1, -1, 0), (1, 0, 1)
 _BENDING = {"rigidity": (2, 0, 1), "intrinsic_curvature": CURVATURE}
+_FIELD, _MAGNET = (-1, 0, 0.5), (2, 0, 0.5)  # in Gaussian units: B^2 is an energy per volume
 DIMENSIONS = {
     "State": {"position": LENGTH, "director": NUMBER},
     "Chain": {"radius": LENGTH, "gap": LENGTH},
@@ -184,6 +198,18 @@ DIMENSIONS = {
     "Follower": {"force": FORCE},
     "ForceField": {"function": FORCE},
     "Potential": {"function": MOMENT},
+    "MagneticFibre": {"moment": _MAGNET, "permeability": NUMBER},
+    "MagneticBeads": {"moment": _MAGNET, "permeability": NUMBER},
+    "ParamagneticFibre": {"susceptibility": (3, 0, 0)},
+    "ParamagneticBeads": {"susceptibility": (3, 0, 0), "permeability": NUMBER},
+    "UniformField": {"law": _FIELD},
+    "HarmonicField": {
+        "angular_frequency": RATE,
+        "cosine": _FIELD,
+        "sine": _FIELD,
+        "constant": _FIELD,
+    },
+    "MagneticField": {"function": _FIELD},
     "VelocityField": {"function": VELOCITY},
     "Shear": {"rate": RATE},
     "OscillatingShear": {"rate": RATE, "angular_frequency": RATE, "phase": NUMBER},
@@ -306,6 +332,10 @@ TURNS = {
     "Bending": {"intrinsic_curvature": axial},
     "ForceField": {"function": lambda f, turn: Partial(_vectors, turn, f)},
     "Potential": {"function": lambda f, turn: Partial(_numbers, turn, f)},
+    # Moments along fibres turn as they do, so fields as well.
+    "UniformField": {"law": lambda b, turn: law(b, turn) if callable(b) else vector(b, turn)},
+    "HarmonicField": {"cosine": vector, "sine": vector, "constant": vector},
+    "MagneticField": {"function": lambda f, turn: Partial(_vectors, turn, f)},
     "PrescribedPosition": {"law": law},
     "PrescribedSpin": {"law": axial_law},
     "PrescribedDirection": {"law": law},
@@ -337,6 +367,16 @@ def _bending(f):
     return Bending(f.rigidity, jnp.tile(vectors, (5, 1)), f.discrete_curvature)
 
 
+def _magnet(f):
+    def padded(b):
+        if isinstance(b, MagneticField):
+            return MagneticField(lambda t, x: jnp.append(b.function(t, x[:2]), 0.0))
+        vectors = {k: jnp.pad(v, (0, 1)) for k, v in vars(b).items() if v.ndim}
+        return dataclasses.replace(b, **vectors)
+
+    return dataclasses.replace(f, field=padded(f.field))
+
+
 # What has another form in space than in the plane, on a chain of seven beads.
 SPATIAL = {
     "Weight": lambda f: Weight(jnp.pad(f.force, (0, 1))),
@@ -345,6 +385,7 @@ SPATIAL = {
     "BendingEnergy": lambda f: (
         None if jnp.any(f.intrinsic_curvature) else f
     ),  # it has no sign there
+    **dict.fromkeys(["MagneticFibre", "ParamagneticFibre", "ParamagneticBeads"], _magnet),
     "LinearFlow": lambda f: LinearFlow(jnp.pad(f.matrix, ((0, 1), (0, 1)))),
     "VelocityField": lambda f: VelocityField(lambda t, x: jnp.append(f.function(t, x[:2]), 0.0)),
 }

@@ -59,10 +59,15 @@ from jaxbeads.force import (
     ForceField,
     JointBending,
     JointRepulsion,
+    MagneticBeads,
+    MagneticFibre,
+    ParamagneticBeads,
+    ParamagneticFibre,
     SineRuleCurvature,
     Spring,
     Weight,
 )
+from jaxbeads.magnetism import HarmonicField
 from jaxbeads.mobility import RPY
 from jaxbeads.solver import substeps_for
 
@@ -399,6 +404,35 @@ DRIVES = {
         "`Spring.stiffness` must have shape () or (4,), but it has shape (5,)",
     ),
     "follower in the middle": (lambda: Follower(1.0, end=2), "`end` must be -1 (last bead) or 0"),
+    "a moment for each bond": (
+        lambda: run_force(MagneticFibre(np.ones(4), [1.0, 0.0])),
+        "`MagneticFibre.moment` must have shape () or (5,), but it has shape (4,)",
+    ),
+    "NaN moment": (lambda: MagneticFibre(NAN, [1.0, 0.0]), "`moment` must be finite"),
+    "a field in space for a planar fibre": (
+        lambda: run_force(ParamagneticFibre(1.0, [1.0, 0.0, 0.0])),
+        "`UniformField.law` must have shape (2,), but it has shape (3,)",
+    ),
+    "a field of another size": (
+        lambda: run_force(MagneticFibre(1.0, lambda t, x: x[:1])),
+        "`MagneticField.function` must have shape (2,), but it has shape (1,)",
+    ),
+    "a sine of another size": (
+        lambda: HarmonicField(1.0, [1.0, 0.0], [0.0, 0.0, 1.0]),
+        "`sine` must have shape (2,), but it has shape (3,)",
+    ),
+    "negative permeability": (
+        lambda: ParamagneticBeads(1.0, [1.0, 0.0], -1.0),
+        "`permeability` must not be negative",
+    ),
+    "moments along directors without directors": (
+        lambda: run_force(MagneticBeads(1.0, [1.0, 0.0])),
+        "`state` must hold directors for MagneticBeads, but it holds none",
+    ),
+    "a tail of two beads": (
+        lambda: scenes.magnetic_swimmer(beads=2),
+        "`beads` must be at least 3",
+    ),
     "NaN follower": (lambda: Follower(NAN), "`force` must be finite"),
     "a bead that is not there": (
         lambda: run(scene=model(constraints=[Gears(), PrescribedPosition(bead=5)])),

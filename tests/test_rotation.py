@@ -29,6 +29,7 @@ from jaxbeads.force import (
     DrivingMoment,
     JointBending,
     JointRepulsion,
+    MagneticBeads,
     Weight,
 )
 
@@ -93,6 +94,12 @@ MODELS |= {
         0.8,
         constraints=[Joint()],
         forces=[JointBending(3.0, 0.02, repulsion=JointRepulsion(0.5, 0.5, 2.0, 0.5))],
+    ),
+    "moments along directors": Scene(
+        Chain(1.0, 7, gap=0.1),
+        0.8,
+        constraints=[Joint()],
+        forces=[MagneticBeads(np.linspace(-0.5, 1.0, 7), cases.turning_field(3), permeability=5.0)],
     ),
     "bending along vectors": Scene(
         CHAIN,

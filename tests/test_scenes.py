@@ -541,6 +541,21 @@ def test_a_cloud_falls_faster_than_one():
     assert fall > 2 and abs(fall / 2 - found["speed"]) < 0.2
 
 
+@pytest.mark.slow
+def test_many_fibres_are_those_of_another_code():
+    # [derived] by dense RPY mobilities and rows of Gears in numpy, explicit steps of Runge and Kutta; of
+    # half their number differ by 3e-8 (cloud) and 2e-6, 8e-6 (suspension).
+    found = measured("cloud", scenes.cloud(8, 10, 1000.0, 0.6))
+    reference = {"speed": 3.2456415, "spread": 0.7008231, "spread_lateral": 1.1190266}
+    assert all(abs(found[name] - value) < 1e-6 for name, value in reference.items())
+    found = measured("shear-suspension", scenes.shear_suspension(4, 6, spacing=0.6))
+    moments = [0.4785024, 0.0419048, 0.0006516]
+    assert np.abs(np.array(found["moments"]) - moments).max() < 3e-6
+    assert abs(found["curvature"] - 0.80456) < 1e-5
+    assert abs(found["normal_stress"] - 0.0018212) < 1e-6
+    assert abs(found["shear_stress"] - 0.0471429) < 1e-6
+
+
 def test_a_suspension_of_one_stiff_fibre_follows_jeffery():
     case = scenes.shear_suspension(1, 5, 30.0, seed=1, shear_rate=2.0)
     run = case.simulate(progress=False)

@@ -42,6 +42,8 @@ from jaxbeads.force import (
     ForceField,
     JointBending,
     JointRepulsion,
+    ParamagneticBeads,
+    ParamagneticFibre,
     Potential,
     Spring,
     Weight,
@@ -88,6 +90,8 @@ def anywhere(chain, dim):
         Weight(np.eye(dim)[1]),
         ForceField(lambda t, r: 0.1 * r),
         Potential(lambda t, r: jnp.sum(r**2)),
+        ParamagneticFibre(np.full(bonds, 0.8), np.eye(dim)[1]),
+        ParamagneticBeads(0.8, np.eye(dim)[1], permeability=5.0),
     ]
 
 

@@ -30,7 +30,7 @@ ORDER = [
     {"reflection"},
     {"images", "mirror"},
     {"fields"},
-    {"chain", "flow", "actuation", "dimensionless"},
+    {"chain", "flow", "actuation", "dimensionless", "magnetism"},
     {"frames", "setting", "tables"},
     {"carried"},
     {"mobility", "constraint", "force", "coincidence"},

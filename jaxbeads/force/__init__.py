@@ -1,10 +1,11 @@
 """Forces and torques on beads.
 
 Elasticity: `Bending` (torques), `BendingEnergy` (the same as a potential), `JointBending` (of the Joint
-Model, with `JointRepulsion`), `Spring`. Active: `DrivingMoment`, `Follower`. Others:
-`Weight`, `Contact`, and a user's function
-as `ForceField` or `Potential`. A new one is a class derived from `AbstractForce` or `AbstractPotential`
-in a file of its own, a line here and a line in `tests/cases.py`.
+Model, with `JointRepulsion`), `Spring`. Active: `DrivingMoment`, `Follower`. Magnets in a field of
+`jaxbeads.magnetism`: `MagneticFibre`, `MagneticBeads`, `ParamagneticFibre`, `ParamagneticBeads`.
+Others: `Weight`, `Contact`, and a user's function as `ForceField` or `Potential`. A new one is a class
+derived from `AbstractForce` or `AbstractPotential` in a file of its own, a line here and a line in
+`tests/cases.py`.
 """
 
 from .base import AbstractForce as AbstractForce
@@ -21,5 +22,9 @@ from .field import Potential as Potential
 from .follower import Follower as Follower
 from .joint_bending import JointBending as JointBending
 from .joint_bending import JointRepulsion as JointRepulsion
+from .magnetic_beads import MagneticBeads as MagneticBeads
+from .magnetic_fibre import MagneticFibre as MagneticFibre
+from .paramagnetic_beads import ParamagneticBeads as ParamagneticBeads
+from .paramagnetic_fibre import ParamagneticFibre as ParamagneticFibre
 from .spring import Spring as Spring
 from .weight import Weight as Weight

@@ -2,11 +2,11 @@
 
 Passive fibres: `jeffery`, `shear`, `settling`, `relaxation`; driven ones: `planar_beating`,
 `helical_beating`, `follower_force`; swimmers: `nematode`, `nematode_pair`, `spiral`,
-`three_sphere`; at a no-slip wall: `cilium`, `cilia_row`, `settling_wall`, `nematode_wall`; many
-fibres in space: `cloud`, `shear_suspension`. Each returns a `Case` (scene, state, times and how to
-step); `case.simulate()` runs it. A new one is a file here and a line below: the shell
-(`python -m jaxbeads`) and the tests of all scenes find its `ReadyMade`. `GEARS`, `JOINT` and
-`SPRING` are bead models that may be exchanged for one another.
+`three_sphere`; in a magnetic field: `magnetic_rod`, `magnetic_swimmer`; at a no-slip wall: `cilium`,
+`cilia_row`, `settling_wall`, `nematode_wall`; many fibres in space: `cloud`, `shear_suspension`. Each
+returns a `Case` (scene, state, times and how to step); `case.simulate()` runs it. A new one is a file
+here and a line below: the shell (`python -m jaxbeads`) and the tests of all scenes find its
+`ReadyMade`. `GEARS`, `JOINT` and `SPRING` are bead models that may be exchanged for one another.
 """
 
 from .beating import *
@@ -14,6 +14,7 @@ from .case import *
 from .cilium import *
 from .follower_force import *
 from .jeffery import *
+from .magnetic import *
 from .models import *
 from .nematode import *
 from .relaxation import *
