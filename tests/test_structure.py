@@ -29,7 +29,7 @@ ORDER = [
     {"images", "mirror"},
     {"fields"},
     {"chain", "flow", "actuation", "dimensionless"},
-    {"frames", "setting", "tables"},
+    {"frames", "material", "setting", "tables"},
     {"carried"},
     {"mobility", "constraint", "force", "coincidence"},
     {"scene"},

@@ -1,9 +1,8 @@
 """Forces and torques on beads.
 
-Elasticity: `Bending` (torques), `BendingEnergy` (the same as a potential), `JointBending` (of the Joint
-Model, with `JointRepulsion`), `Spring`. Active: `DrivingMoment`, `Follower`. Others:
-`Weight`, `Contact`, and a user's function
-as `ForceField` or `Potential`. A new one is a class derived from `AbstractForce` or `AbstractPotential`
+Elasticity: `Bending` (torques), `BendingEnergy` (the same as a potential), `ElasticRod` (with twist, in
+space), `JointBending` (of the Joint Model, with `JointRepulsion`), `Spring`. Active: `DrivingMoment`,
+`Follower`. Others: `Weight`, `Contact`, and a user's function as `ForceField` or `Potential`. A new one is a class derived from `AbstractForce` or `AbstractPotential`
 in a file of its own, a line here and a line in `tests/cases.py`.
 """
 
@@ -21,5 +20,6 @@ from .field import Potential as Potential
 from .follower import Follower as Follower
 from .joint_bending import JointBending as JointBending
 from .joint_bending import JointRepulsion as JointRepulsion
+from .rod import ElasticRod as ElasticRod
 from .spring import Spring as Spring
 from .weight import Weight as Weight
