@@ -116,7 +116,7 @@ class _Normals(AbstractPart):
 
 
 class _Frames(AbstractPart):
-    """As numbers: by how much each is turned about the fibre from where the smallest rotations lead it."""
+    """As numbers: how far each is turned about the fibre from where the smallest rotations lead it."""
 
     name, words, spun = "frame", "the material frames", True
 

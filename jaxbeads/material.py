@@ -1,20 +1,20 @@
 """Material frames: at each bead of a fibre in space a vector that is fixed to its material.
 
-The frame of a bead is (d_1, d_2, t): t is the fibre's direction there, the mean of those of its bonds, d_1
-a unit vector normal to it, d_2 = t x d_1. As beads move it follows t by the smallest rotation and turns
-about t with the bead,
+The frame of a bead is (d_1, d_2, t): t is the fibre's direction there, the mean of those of its bonds,
+d_1 a unit vector normal to it, d_2 = t x d_1. As beads move it follows t by the smallest rotation and
+turns about t with the bead,
 
     d_1' = (t x t' + (w . t) t) x d_1.
 
-Along a fibre the smallest rotations, from t to the bond's direction e and from there to the next t, carry
-a vector on without twist. No direction is singular, and the frame is a part of the state.
+Along a fibre the smallest rotations, from t to the bond's direction e and from there to the next t,
+carry a vector on without twist. No direction is singular, and the frame is a part of the state.
 
 Frames belong to beads, as spins and curvatures do, not to bonds: a bond's mean spin, with which a bond
 would turn, does not see spins that alternate from bead to bead, and twist that alternates from bond to
 bond would not relax. The spins by which rolling beads counter-rotate (normal to t) turn no frame.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -67,7 +67,7 @@ def upright(
      [0. 1. 0.]]
     """
     t = directions(position, chain)[1]
-    return unit(frame - jnp.sum(frame * t, axis=1, keepdims=True) * t)
+    return unit(frame - dot(frame, t) * t)
 
 
 def rate(
@@ -117,8 +117,51 @@ def moved(
     return turned(frame, first, last)
 
 
+class Strains(NamedTuple):
+    """How a rod is bent and twisted, and its frames."""
+
+    bond: Float[Array, "bonds 3"]
+    """e; zero between fibres."""
+    direction: Float[Array, "beads 3"]
+    """t."""
+    first: Float[Array, "beads 3"]
+    """d_1."""
+    second: Float[Array, "beads 3"]
+    """d_2."""
+    curvature: Float[Array, "joints 2"]
+    """kappa_1, kappa_2, see `curvature`; 0 where fibres end."""
+    twist: Float[Array, " bonds"]
+    """tau, see `twist`; 0 between fibres."""
+
+
+def strains(state: State, chain: Chain) -> Strains:
+    """Curvatures and twist of a state with frames, of two beads or more.
+
+    >>> import jaxbeads as jb
+    >>> chain = jb.Chain(radius=1.0, fibres=2)
+    >>> state = jb.with_frames(jb.straight(chain, [1.0, 0.0, 0.0]), chain, normal=[0.0, 1.0, 0.0])
+    >>> print(jb.material.strains(state, chain).second[0])
+    [0. 0. 1.]
+    """
+    e, t = directions(state.position, chain)
+    first = unit(_held(state) - dot(_held(state), t) * t)
+    second, turn = jnp.cross(t, first), e[1:] - e[:-1]
+    about = jnp.concatenate([-dot(turn, second[1:-1]), dot(turn, first[1:-1])], axis=1)
+    bent = about / (0.5 * (chain.bond_length[1:] + chain.bond_length[:-1]))[:, None]
+    # Both frames of a bond turned to its direction, by less than a right angle.
+    begun, ended = (
+        d - (dot(d, e) / (1 + dot(x, e))) * (x + e)
+        for d, x in ((first[:-1], t[:-1]), (first[1:], t[1:]))
+    )
+    sine, cosine = dot(jnp.cross(begun, ended), e)[:, 0], dot(begun, ended)[:, 0]
+    if not chain.bond_mask.all():
+        bent = bent * chain.joint_mask[:, None]
+        sine, cosine = (jnp.where(chain.bond_mask, x, y) for x, y in ((sine, 0.0), (cosine, 1.0)))
+    return Strains(e, t, first, second, bent, jnp.arctan2(sine, cosine) / chain.bond_length)
+
+
 def curvature(state: State, chain: Chain) -> Float[Array, "joints 2"]:
-    """Curvatures kappa_1 and kappa_2 about d_1 and d_2 at the inner beads [1/length], 0 where fibres end.
+    """Curvatures kappa_1, kappa_2 about d_1, d_2 at the inner beads [1/length]; 0 where fibres end.
 
     The curvature vector t x (e' - e)/l, with l the arclength of the joint, has the length
     2 sin(phi/2)/l where the tangent turns by phi: half its square times l is the energy
@@ -134,35 +177,33 @@ def curvature(state: State, chain: Chain) -> Float[Array, "joints 2"]:
     >>> print(jb.material.curvature(state, chain).round(6) + 0.0)  # sin(30 deg)
     [[0.5 0. ]]
     """
-    frame = upright(_held(state), state.position, chain)
-    e, t = directions(state.position, chain)
-    turn, first, t = e[1:] - e[:-1], frame[1:-1], t[1:-1]
-    about = [-jnp.sum(turn * jnp.cross(t, first), axis=1), jnp.sum(turn * first, axis=1)]
-    length = 0.5 * (chain.bond_length[1:] + chain.bond_length[:-1])
-    return jnp.stack(about, axis=1) / length[:, None] * chain.joint_mask[:, None]
+    return strains(state, chain).curvature
 
 
 def twist(state: State, chain: Chain) -> Float[Array, " bonds"]:
-    """Twist of each bond [1/length]: the angle, in (-pi, pi], by which d_1 turns about t from its first
-    bead to the second, over the bond's length; 0 between fibres.
+    """Twist of each bond [1/length]: the angle, in (-pi, pi], by which d_1 turns about the bond from its
+    first bead to the second, over the bond's length; 0 between fibres.
 
     **Arguments**: a state with frames; the chain. **Returns** `(beads - 1,)`.
 
-    >>> import jax.numpy as jnp
     >>> import jaxbeads as jb
     >>> chain = jb.Chain(radius=1.0, fibres=3)
     >>> state = jb.with_frames(jb.straight(chain, [0.0, 0.0, 1.0]), chain, twist=0.3)
     >>> print(jb.material.twist(state, chain).round(6))
     [0.3 0.3]
     """
-    frame = upright(_held(state), state.position, chain)
-    e, t = directions(state.position, chain)
-    carried = turned(turned(frame[:-1], t[:-1], e), e, t[1:])
-    sine = jnp.sum(jnp.cross(carried, frame[1:]) * t[1:], axis=1)
-    cosine = jnp.sum(carried * frame[1:], axis=1)
-    mask = chain.bond_mask & jnp.any(jnp.stack([sine, cosine]) != 0, axis=0)
-    angle = jnp.arctan2(jnp.where(mask, sine, 0.0), jnp.where(mask, cosine, 1.0))
-    return angle / chain.bond_length
+    return strains(state, chain).twist
+
+
+def dot(a: Float[Array, "rows 3"], b: Float[Array, "rows 3"]) -> Float[Array, "rows 1"]:
+    """a . b of each row, as a column.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.material import dot
+    >>> print(dot(jnp.ones((2, 3)), jnp.ones((2, 3))).ravel())
+    [3. 3.]
+    """
+    return jnp.sum(a * b, axis=1, keepdims=True)
 
 
 def _held(state: State) -> Array:

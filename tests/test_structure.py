@@ -51,6 +51,7 @@ ORDER = [
 # What the files of a sub-package may import from one another.
 SHARED = {
     "solver": {"base", "watch", "tolerance"},
+    "constraint": {"base", "prescribed"},
     "force": {"base", "curvature"},
     "scenes": {"case", "models"},
     "plot": {"base", "space"},

@@ -2,8 +2,9 @@
 
 Elasticity: `Bending` (torques), `BendingEnergy` (the same as a potential), `ElasticRod` (with twist, in
 space), `JointBending` (of the Joint Model, with `JointRepulsion`), `Spring`. Active: `DrivingMoment`,
-`Follower`. Others: `Weight`, `Contact`, and a user's function as `ForceField` or `Potential`. A new one is a class derived from `AbstractForce` or `AbstractPotential`
-in a file of its own, a line here and a line in `tests/cases.py`.
+`Follower`, `EndTorque`. Others: `Weight`, `Contact`, and a user's function as `ForceField` or
+`Potential`. A new one is a class derived from `AbstractForce` or `AbstractPotential` in a file of its
+own, a line here and a line in `tests/cases.py`.
 """
 
 from .base import AbstractForce as AbstractForce
@@ -15,6 +16,7 @@ from .contact import Contact as Contact
 from .curvature import AbstractDiscreteCurvature as AbstractDiscreteCurvature
 from .curvature import CrossProductCurvature as CrossProductCurvature
 from .curvature import SineRuleCurvature as SineRuleCurvature
+from .end_torque import EndTorque as EndTorque
 from .field import ForceField as ForceField
 from .field import Potential as Potential
 from .follower import Follower as Follower

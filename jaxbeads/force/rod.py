@@ -2,7 +2,6 @@
 
 from typing import Any, ClassVar
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -12,10 +11,16 @@ from .._checks import fail, finite, non_negative, shape
 from .._functions import along
 from .._typing import float_array, optional_float_array
 from ..chain import Chain
+from ..geometry import bonds, norm
 from ..setting import Setting
 from ..state import Load, State
 from .base import AbstractPotential
 from .curvature import Curvature, check_bending, curvature_at_rest, rest_at, stiffest
+
+
+def _span(chain: Chain) -> Float[Array, "joints 1"]:
+    """Arclength of each joint."""
+    return 0.5 * (chain.bond_length[1:] + chain.bond_length[:-1])[:, None]
 
 
 class ElasticRod(AbstractPotential):
@@ -51,8 +56,9 @@ class ElasticRod(AbstractPotential):
     >>> chain = jb.Chain(radius=1.0, fibres=3)
     >>> straight, setting = jb.straight(chain, [1.0, 0.0, 0.0]), jb.Setting(chain, viscosity=1.0)
     >>> twisted = jb.with_frames(straight, chain, twist=[0.1, 0.3])
-    >>> torque = ElasticRod(rigidity=7.0, twist_rigidity=5.0).load(jnp.zeros(()), twisted, setting).torque
-    >>> print(torque[:, 0].round(6))  # K_t times the differences of the twist
+    >>> rod = ElasticRod(rigidity=7.0, twist_rigidity=5.0)
+    >>> torque = rod.load(jnp.zeros(()), twisted, setting).torque
+    >>> print(torque[:, 0].round(6))  # K_t times differences
     [ 0.5  1.  -1.5]
     """
 
@@ -115,17 +121,11 @@ class ElasticRod(AbstractPotential):
         chain = scene.chain
         if chain.beads < 2:
             return jnp.zeros((), state.position.dtype)
-        length = chain.bond_length
-        twist = material.twist(state, chain) - self.intrinsic_twist
-        bond = self.twist_rigidity * length * twist * twist
-        energy = jnp.sum(bond * chain.bond_mask) / 2
-        if chain.beads < 3:
-            return energy
-        first, second = (material.curvature(state, chain) - self._rest(t, chain)).T
-        other = self.rigidity if self.second_rigidity is None else self.second_rigidity
-        joint = self.rigidity * first * first + other * second * second
-        span = 0.5 * (length[1:] + length[:-1])
-        return energy + jnp.sum(joint * span * chain.joint_mask) / 2
+        found = material.strains(state, chain)
+        bending, twisting = self._moments(t, found, chain)
+        bent = found.curvature - self._rest(t, chain)
+        twisted = (found.twist - self.intrinsic_twist) * chain.bond_length
+        return (jnp.sum(bending * bent * _span(chain)) + jnp.sum(twisting * twisted)) / 2
 
     def _rest(self, t: Array, chain: Chain) -> Float[Array, "joints 2"]:
         """kappa_01 and kappa_02."""
@@ -137,25 +137,52 @@ class ElasticRod(AbstractPotential):
         ]
         return jnp.stack(rest, axis=1)
 
+    def _moments(
+        self, t: Array, found: material.Strains, chain: Chain
+    ) -> tuple[Float[Array, "joints 2"], Float[Array, " bonds"]]:
+        """About d_1 and d_2 at the inner beads, and along the bonds [force length]; 0 at ends."""
+        bent, twisted = found.curvature - self._rest(t, chain), found.twist - self.intrinsic_twist
+        first = jnp.broadcast_to(self.rigidity, len(bent))
+        second = first if self.second_rigidity is None else self.second_rigidity
+        rigidity = jnp.stack([first, jnp.broadcast_to(second, len(bent))], axis=1)
+        bending, twisting = rigidity * bent, self.twist_rigidity * twisted
+        return bending * chain.joint_mask[:, None], twisting * chain.bond_mask
+
     def load(self, t: Float[Array, ""], state: State, scene: Setting) -> Load:
-        """F = -dE/dr and T = -d_1 x dE/dd_1, which points along t."""
-        if scene.chain.beads < 2:
+        """F = -dE/dr and T = -dE/dangle t.
+
+        With the moments m_1, m_2 at the beads and m_3 of the bonds, bending has
+        dE/de = +-(m_2 d_1 - m_1 d_2) for the bonds after and before a bead. As e turns, the smallest
+        rotation from t to e turns what it leads by h . (dt + de), h = t x e/(1 + t . e), and so on to
+        the next t: that is how twist feels the centreline.
+        """
+        chain = scene.chain
+        if chain.beads < 2:
             return Load()
         if state.frame is None:
-            state = material.with_frames(state, scene.chain)
-
-        def energy(position: Array, frame: Array) -> Array:
-            moved = State(position, frame=frame)
-            return self.energy(t, moved, scene)
-
-        # E stands frames upright on the fibre, which leads them along as positions change.
-        frame = jnp.asarray(state.frame)
-        force, turn = jax.grad(energy, (0, 1))(state.position, frame)
-        return Load(-force, -jnp.cross(frame, turn))
+            state = material.with_frames(state, chain)
+        found, bond = material.strains(state, chain), bonds(state.position)
+        bending, m = self._moments(t, found, chain)
+        e, along = found.bond, found.direction
+        first, second = bending[:, :1], bending[:, 1:]
+        turned = second * found.first[1:-1] - first * found.second[1:-1]
+        span = norm(e[1:] + e[:-1])[:, None]
+        lead = jnp.cross(along[1:-1], e[1:] - e[:-1]) / (2 + span)
+        before, after = m[:-1, None], m[1:, None]
+        both = (before + after) / jnp.where(span == 0, 1.0, span)
+        push = jnp.pad(turned + lead * (after + both), ((1, 0), (0, 0)))
+        push = push - jnp.pad(turned - lead * (before + both), ((0, 1), (0, 0)))
+        length = norm(bond)[:, None]
+        push = (push - material.dot(push, e) * e) / jnp.where(length == 0, 1.0, length)
+        force = jnp.pad(push, ((0, 1), (0, 0))) - jnp.pad(push, ((1, 0), (0, 0)))
+        bent = found.curvature * _span(chain)
+        roll = bending[:, 1] * bent[:, 0] - bending[:, 0] * bent[:, 1]
+        torque = jnp.pad(m, (0, 1)) - jnp.pad(m, (1, 0)) + jnp.pad(roll, 1)
+        return Load(force, torque[:, None] * along)
 
     def explicit_step(self, scene: Setting) -> Float[Array, ""]:
-        """Half of AB3's limit, 6/11 over the fastest rate: of bending at most 16 (K_b/l^3)/(6 pi mu a), as
-        in `BendingEnergy`; of twist 4 (K_t/l)/(8 pi mu a^3).
+        """Half of AB3's limit, 6/11 over the fastest rate: of bending at most 16 (K_b/l^3)/(6 pi mu a),
+        as in `BendingEnergy`; of twist 4 (K_t/l)/(8 pi mu a^3).
         """
         chain = scene.chain
         radius, span = jnp.min(chain.radius), 2 * jnp.min(chain.radius + chain.gap)
