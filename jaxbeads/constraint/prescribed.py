@@ -197,8 +197,8 @@ class PrescribedRoll(AbstractConstraint):
     **Arguments**
 
     - `law`: Omega [1/time], a number or a function of the time that returns one. `None`: no roll.
-    - `bead`: index of the bead; -1 is the last one. Of several beads a sequence, as for
-      `PrescribedPosition`, with one law for all or a law of their number.
+    - `bead`: index of the bead; -1 is the last one. Of several beads a sequence of indices, with one
+      number for all or one for each; a function returns one for each.
     - `across`: whether spins across the fibre are held as well, as at a clamped end. Leave them free
       where the fibre turns.
 
