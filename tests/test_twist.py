@@ -10,7 +10,17 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 import jaxbeads as jb
-from jaxbeads import Chain, Scene, State, dynamics, material, rollout, straight, with_frames
+from jaxbeads import (
+    Chain,
+    Scene,
+    State,
+    dynamics,
+    material,
+    rollout,
+    scenes,
+    straight,
+    with_frames,
+)
 from jaxbeads.constraint import (
     Gears,
     Inextensible,
@@ -364,3 +374,43 @@ def helix(position):
     across = d - np.outer(d @ axis, axis)
     angle = np.arccos(across[0] @ across[1] / np.linalg.norm(across[0]) / np.linalg.norm(across[1]))
     return np.linalg.norm(across[1]) / (2 * np.sin(angle / 2)), abs(2 * np.pi * rise / angle)
+
+
+def test_follower_force_in_space():
+    # Both transverse modes turn unstable together at P L^2/K = 37.695; the error falls like 1/N^2.
+    found = []
+    for beads in BEADS:
+        case = scenes.follower_force_3d(beads, 40.0)
+        state, unit = straight(case.scene.chain, [1.0, 0.0, 0.0]), case.scales["length"] ** 2
+
+        def rates(force, case=case, state=state, unit=unit):
+            push = jnp.asarray(force / unit)
+            scene = eqx.tree_at(lambda s: s.forces[1].force, case.scene, push)
+            return scenes.modes(scene, state)[:4] * unit**2
+
+        at = brentq(lambda force: rates(force)[0].real, 25.0, 60.0, xtol=1e-6)
+        pair = rates(at)
+        assert np.abs(np.abs(pair.imag) / np.abs(pair[0].imag) - 1).max() < 1e-6
+        assert np.abs(pair.real).max() < 1e-4
+        found.append(at)
+    errors = np.abs(np.array(found) / 37.695 - 1)
+    assert errors[-1] < 1e-2 and np.all(errors[:-1] / errors[1:] > 3.0)
+
+
+@pytest.mark.slow
+def test_whirling_sets_in_above_the_threshold():
+    below, above = (scenes.whirling(8, rate) for rate in (0.9, 1.2))
+    one, two = (scenes.WHIRLING.observables(c, c.simulate(progress=False)) for c in (below, above))
+    assert one["growth_rate"] < 0 and not one["whirls"] and one["tip_radius"] < 1e-4
+    assert two["growth_rate"] > 0 and two["whirls"]
+
+
+@pytest.mark.slow
+def test_a_straight_rod_coils_up_to_its_helix():
+    errors = []
+    for beads in (8, 16):
+        case = scenes.helix_formation(beads, 3.0, 2.0)
+        found = scenes.HELIX_FORMATION.observables(case, case.simulate(progress=False))
+        errors.append([found["radius"] * 13 / 3 - 1, found["pitch"] * 13 / (4 * np.pi) - 1])
+    errors = np.abs(errors)
+    assert np.all(errors[1] < 5e-3) and np.all(errors[0] / errors[1] > 3.5)

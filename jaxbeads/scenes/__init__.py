@@ -3,10 +3,10 @@
 Passive fibres: `jeffery`, `shear`, `settling`, `relaxation`; driven ones: `planar_beating`,
 `helical_beating`, `follower_force`; in space: `whirling`, `helix_formation`, `follower_force_3d`;
 swimmers: `nematode`, `nematode_pair`, `spiral`, `three_sphere`; at a no-slip wall: `cilium`,
-`cilia_row`, `settling_wall`, `nematode_wall`; many fibres in space: `cloud`, `shear_suspension`. Each returns a `Case` (scene, state, times and how to
-step); `case.simulate()` runs it. A new one is a file here and a line below: the shell
-(`python -m jaxbeads`) and the tests of all scenes find its `ReadyMade`. `GEARS`, `JOINT` and
-`SPRING` are bead models that may be exchanged for one another.
+`cilia_row`, `settling_wall`, `nematode_wall`; many fibres in space: `cloud`, `shear_suspension`. Each
+returns a `Case` (scene, state, times and how to step); `case.simulate()` runs it. A new one is a file
+here and a line below: the shell (`python -m jaxbeads`) and the tests of all scenes find its `ReadyMade`.
+`GEARS`, `JOINT` and `SPRING` are bead models that may be exchanged for one another.
 """
 
 from .beating import *

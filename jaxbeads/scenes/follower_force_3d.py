@@ -30,7 +30,7 @@ def follower_force_3d(
     rigidity: float = 1.0,
     perturbation: float = 0.05,
 ) -> Case:
-    """A Gears filament in space, clamped at its first bond, with a compressive force along its last bond.
+    """A Gears filament in space, clamped at its first bond, with a compressive force along its tip.
 
     At P L^2/K_b = 37.695 (slender, local drag) both transverse modes turn unstable together: any plane
     may flap, and two planes a quarter of a period apart whirl. Just above, whirling is stable and

@@ -8,14 +8,14 @@ from ..constraint import Gears
 from ..force import ElasticRod
 from ..geometry import bonds
 from ..material import with_frames
-from ..mobility import RPY, AbstractMobility
+from ..mobility import AbstractMobility, FreeDraining
 from ..scene import Scene
 from ..solution import Solution
 from .case import Case, ReadyMade, Value
 
 __all__ = ["HELIX_FORMATION", "helix_formation"]
 
-_RPY = RPY()
+_LOCAL = FreeDraining()
 
 
 def helix_formation(
@@ -24,7 +24,7 @@ def helix_formation(
     twist: float = 4.0,
     *,
     twist_rigidity: float = 1.0,
-    mobility: AbstractMobility = _RPY,
+    mobility: AbstractMobility = _LOCAL,
     radius: float = 1.0,
     viscosity: float = 1.0,
     rigidity: float = 1.0,
@@ -33,8 +33,8 @@ def helix_formation(
     straight and twisted until its energy is gone: a helix of radius kappa_0/(kappa_0^2 + tau_0^2) and
     pitch 2 pi tau_0/(kappa_0^2 + tau_0^2).
 
-    **Arguments**: number of beads (at least 6); kappa_0 L and tau_0 L, L = 2 a N; K_t/K_b; mobility; a
-    [length]; mu; K_b.
+    **Arguments**: number of beads (at least 6); kappa_0 L and tau_0 L, L = 2 a N; K_t/K_b; mobility
+    (no matter to the shape at rest); a [length]; mu; K_b.
 
     **Raises** `ValueError` for too few beads, numbers that are out of range, and a shape at rest that
     turns by more than a radian from bead to bead.
