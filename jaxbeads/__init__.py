@@ -16,6 +16,7 @@ from . import flow as flow
 from . import force as force
 from . import geometry as geometry
 from . import magnetism as magnetism
+from . import material as material
 from . import mobility as mobility
 from . import objectives as objectives
 from . import observables as observables
@@ -39,6 +40,7 @@ from .fluid import AverageFlowField as AverageFlowField
 from .fluid import FlowField as FlowField
 from .fluid import average_flow_field as average_flow_field
 from .fluid import flow_field as flow_field
+from .material import with_frames as with_frames
 from .optimise import optimise as optimise
 from .optimum import Optimum as Optimum
 from .outcome import Outcome as Outcome

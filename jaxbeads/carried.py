@@ -16,6 +16,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
+from . import material
 from .chain import Chain
 from .frames import normal_rate, upright
 from .geometry import norm, spin_cross
@@ -31,6 +32,8 @@ class AbstractPart(abc.ABC):
     """What it is called in a sentence."""
     vectors: bool = True
     """Whether it consists of vectors `(..., dim)` that turn with the whole."""
+    spun: bool = False
+    """Whether the beads' spins change it."""
 
     @abc.abstractmethod
     def rate(self, value: Any, state: State, motion: Motion, chain: Chain) -> Any:
@@ -48,16 +51,28 @@ class AbstractPart(abc.ABC):
         """Of each of these numbers the fibre that it belongs to; -1: none."""
         return np.full(self.size(value), -1)
 
-    def retract(self, value: Any, numbers: Float[Array, " numbers"]) -> Any:
-        """What is near the value by so much: their sum, and the value itself at 0."""
-        flat, whole = ravel_pytree(value)
+    def retract(
+        self,
+        start: State,
+        numbers: Float[Array, " numbers"],
+        position: Float[Array, "beads dim"],
+        chain: Chain,
+    ) -> Any:
+        """What is near its value in a state by so much, where the beads are at other positions: their
+        sum, and the value itself at 0.
+        """
+        flat, whole = ravel_pytree(getattr(start, self.name))
         return whole(flat + numbers)
 
     def numbers_rate(
-        self, value: Any, numbers: Float[Array, " numbers"], rate: Any
+        self, start: State, state: State, moving: State, chain: Chain
     ) -> Float[Array, " numbers"]:
-        """Rate of the numbers of `retract` where what they lead to changes at a rate."""
-        return ravel_pytree(rate)[0]
+        """Rate of the numbers of `retract` where the state to which they lead changes at a rate."""
+        return ravel_pytree(getattr(moving, self.name))[0]
+
+    def components(self, start: State, change: Any, chain: Chain) -> Float[Array, " numbers"]:
+        """A small change of its value in a state as one of the numbers."""
+        return ravel_pytree(change)[0]
 
     def off(self, error: Any, arm: Float[Array, ""]) -> Float[Array, ""]:
         """How far an error of it puts the end of an arm off [length]."""
@@ -65,7 +80,7 @@ class AbstractPart(abc.ABC):
 
 
 class _Directors(AbstractPart):
-    name, words = "director", "the orientations"
+    name, words, spun = "director", "the orientations", True
 
     def fibres(self, value: Any, chain: Chain) -> np.ndarray:
         """That of the bead."""
@@ -100,6 +115,53 @@ class _Normals(AbstractPart):
         return upright(value, state.position, chain)
 
 
+class _Frames(AbstractPart):
+    """As numbers: how far each is turned about the fibre from where the smallest rotations lead it."""
+
+    name, words, spun = "frame", "the material frames", True
+
+    def size(self, value: Any) -> int:
+        """An angle of each bead."""
+        return len(value)
+
+    def fibres(self, value: Any, chain: Chain) -> np.ndarray:
+        """That of the bead."""
+        return chain.fibre_of_bead
+
+    def rate(self, value: Any, state: State, motion: Motion, chain: Chain) -> Array:
+        """With the fibre and the beads' spins about it, see `material`."""
+        return material.rate(value, state.position, motion, chain)
+
+    def tidy(self, value: Any, state: State, chain: Chain) -> Array:
+        """Of length one and normal to the fibres."""
+        return material.upright(value, state.position, chain)
+
+    def retract(self, start: State, numbers: Array, position: Array, chain: Chain) -> Array:
+        """Led there, and turned."""
+        led = material.moved(_frame(start), start.position, position, chain)
+        return material.angled(led, material.directions(position, chain)[1], numbers)
+
+    def numbers_rate(self, start: State, state: State, moving: State, chain: Chain) -> Array:
+        """How fast it turns, but for how fast the smallest rotations turn what they lead."""
+
+        def lead(position: Array) -> Array:
+            return material.moved(_frame(start), start.position, position, chain)
+
+        t = material.directions(state.position, chain)[1]
+        turning = material.turning(_frame(state), t, _frame(moving))
+        led = jax.jvp(lead, (state.position,), (moving.position,))
+        return turning - material.turning(led[0], t, led[1])
+
+    def components(self, start: State, change: Any, chain: Chain) -> Array:
+        """How far it turns."""
+        t = material.directions(start.position, chain)[1]
+        return material.turning(_frame(start), t, change)
+
+
+def _frame(state: State) -> Array:
+    return jnp.asarray(state.frame)
+
+
 class _Own(AbstractPart):
     name, words, vectors = "own", "the terms' own numbers", False
 
@@ -112,7 +174,7 @@ class _Own(AbstractPart):
         return arm * jnp.max(jnp.abs(ravel_pytree(error)[0]), initial=0.0)
 
 
-PARTS: tuple[AbstractPart, ...] = (_Directors(), _Normals(), _Own())
+PARTS: tuple[AbstractPart, ...] = (_Directors(), _Normals(), _Frames(), _Own())
 
 
 def parts(state: State, besides: tuple[str, ...] = ()) -> list[AbstractPart]:
@@ -137,6 +199,11 @@ def moving(state: State, motion: Motion, chain: Chain) -> State:
         for part in parts(state)
     }
     return with_values(motion.velocity, rates)
+
+
+def spun(state: State) -> bool:
+    """Whether it has a part that the beads' spins change."""
+    return any(part.spun for part in parts(state))
 
 
 def tidied(state: State, chain: Chain, besides: tuple[str, ...] = ()) -> State:

@@ -94,6 +94,14 @@ class AbstractCoordinates(eqx.Module):
         """Vectors of the state that turn with the whole and are numbers of their own."""
         return carried.vectors(state, self.besides)
 
+    def loose_numbers(self, vectors: Float[Array, "rows dim"]) -> Float[Array, " numbers"]:
+        """Small changes of these vectors, one below the other, as changes of numbers."""
+        kept = [p for p in carried.parts(self.start, self.besides) if p.vectors]
+        rows = [len(getattr(self.start, part.name)) for part in kept]
+        each = zip(kept, jnp.split(vectors, np.cumsum(rows, dtype=int)), strict=False)
+        numbers = [part.components(self.start, change, self.chain) for part, change in each]
+        return jnp.concatenate([vectors[:0].ravel(), *numbers])
+
     def _split(self, x: Array) -> tuple[Array, Array, list[Array]]:
         """Points, turns, and the numbers of each carried part."""
         dim, (points, turns, _) = self.start.position.shape[1], self.sizes
@@ -105,18 +113,18 @@ class AbstractCoordinates(eqx.Module):
         kept = carried.parts(self.start, self.besides)
         return [part.size(getattr(self.start, part.name)) for part in kept]
 
-    def _carried(self, numbers: list[Array]) -> dict[str, Any]:
-        """The carried parts at x."""
+    def _carried(self, numbers: list[Array], position: Array) -> dict[str, Any]:
+        """The carried parts at x, where the beads are at positions."""
         kept = carried.parts(self.start, self.besides)
         return {
-            part.name: part.retract(getattr(self.start, part.name), x)
+            part.name: part.retract(self.start, x, position, self.chain)
             for part, x in zip(kept, numbers, strict=True)
         }
 
-    def _joined(self, points: Array, turn: Array, numbers: list[Array], moving: State) -> Array:
+    def _joined(self, points: Array, turn: Array, state: State, moving: State) -> Array:
         others = [
-            part.numbers_rate(getattr(self.start, part.name), x, getattr(moving, part.name))
-            for part, x in zip(carried.parts(self.start, self.besides), numbers, strict=True)
+            part.numbers_rate(self.start, state, moving, self.chain)
+            for part in carried.parts(self.start, self.besides)
         ]
         return jnp.concatenate([points.ravel(), turn.ravel(), *others])
 
@@ -139,14 +147,14 @@ class BeadCoordinates(AbstractCoordinates):
     def state(self, x: Float[Array, " numbers"]) -> State:
         """The state at x."""
         points, _, others = self._split(x)
-        return carried.with_values(self.start.position + points, self._carried(others))
+        position = self.start.position + points
+        return carried.with_values(position, self._carried(others, position))
 
     def rate(
         self, x: Float[Array, " numbers"], state: State, moving: State
     ) -> Float[Array, " numbers"]:
         """The rate itself."""
-        _, turn, others = self._split(x)
-        return self._joined(moving.position, turn, others, moving)
+        return self._joined(moving.position, self._split(x)[1], state, moving)
 
     def points(self, position: Float[Array, "beads dim"]) -> Float[Array, "points dim"]:
         """All of them."""
@@ -196,7 +204,6 @@ class ChainCoordinates(AbstractCoordinates):
     def state(self, x: Float[Array, " numbers"]) -> State:
         """The state at x."""
         points, turn, numbers = self._split(x)
-        others = self._carried(numbers)
         quarter = (turn * turn).sum(axis=1, keepdims=True) / 4
         sideways = jnp.einsum("rn,rnd->rd", turn, normals(self.direction))
         direction = ((1 - quarter) * self.direction + sideways) / (1 + quarter)
@@ -204,6 +211,7 @@ class ChainCoordinates(AbstractCoordinates):
         points = weights @ self.start.position + points
         bonds = self.constraint.bonds(direction, self.chain)
         position = place(self.chain, bonds, points, weights)
+        others = self._carried(numbers, position)
         if self.constraint.oriented:
             others = others | {"director": direction}
         return carried.with_values(position, others)
@@ -212,12 +220,12 @@ class ChainCoordinates(AbstractCoordinates):
         self, x: Float[Array, " numbers"], state: State, moving: State
     ) -> Float[Array, " numbers"]:
         """That of the stereographic map."""
-        _, turn, others = self._split(x)
+        turn = self._split(x)[1]
         turning = jax.jvp(self.directions, (state,), (moving,))[1]
         quarter = (turn * turn).sum(axis=1, keepdims=True) / 4
         along = (turning * self.direction).sum(axis=1, keepdims=True)
         turn = (1 + quarter) * (self.sideways(turning) - turn * along / 2)
-        return self._joined(self._weights @ moving.position, turn, others, moving)
+        return self._joined(self._weights @ moving.position, turn, state, moving)
 
     def points(self, position: Float[Array, "beads dim"]) -> Float[Array, "points dim"]:
         """One of each fibre."""

@@ -6,6 +6,7 @@ along by the smallest rotation from each instant to the next. Whichever way a fi
 moves alike.
 """
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -66,4 +67,5 @@ def framed(state: State, chain: Chain) -> State:
     """The state with normals of its fibres, if it holds none."""
     if state.normal is not None:
         return state
-    return State(state.position, state.director, normals(state, chain), state.own)
+    normal = normals(state, chain)
+    return eqx.tree_at(lambda s: s.normal, state, normal, is_leaf=lambda x: x is None)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from . import carried
 from ._checks import fail
 from .coordinates import AbstractCoordinates
 from .flow import AbstractFlow
@@ -273,9 +274,9 @@ def _hold_columns(
         return _per_bead(rows, state)
 
     velocity = moved.velocity + pulled(False)
-    # Spins matter where they turn directors.
+    # Spins matter where they turn what the state carries.
     spin = moved.spin
-    if spin is not None and state.director is not None:
+    if spin is not None and carried.spun(state):
         spin = spin + pulled(True)
     return Motion(velocity, spin)
 

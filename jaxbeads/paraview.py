@@ -48,8 +48,8 @@ def to_paraview(solution: Solution, scene: Scene, path: str | Path) -> Path:
     Each holds the beads as points, and fibres of two beads or more as lines through them. Arrays of the
     points: `radius` [length]; `bead` and `fibre`, their numbers; `velocity` [length/time] and `spin`
     [1/time] at that instant; `force` [force] and `torque` [force length], the sums of those of the
-    scene's forces and constraints on each bead, which it hands on to the fluid; `director`; `curvature`
-    [1/length], signed in the plane, 0 at ends. What a scene does not have is not there.
+    scene's forces and constraints on each bead, which it hands on to the fluid; `director`; `frame`;
+    `curvature` [1/length], signed in the plane, 0 at ends. What a scene does not have is not there.
 
     To see it to scale: the filter Glyph with spheres, scale array `radius`, scale factor 2, all points;
     or the filter Tube, scalars `radius`, vary radius by absolute scalar.
@@ -244,6 +244,7 @@ def _beads(t: float, state: State, scene: Scene) -> bytes:
         "force": _in_space(load.force),
         "torque": _turning(load.torque),
         "director": _in_space(state.director),
+        "frame": _in_space(state.frame),
         "curvature": bent,
     }
     points, shape = vtkPoints(), vtkPolyData()

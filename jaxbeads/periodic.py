@@ -208,7 +208,7 @@ class _Figure(eqx.Module):
         """As changes of the shape's coordinates."""
         points = self.points - self.points[:1] if moving else self.points
         turns = shape.chart.sideways(self.vectors)
-        parts = points, turns, self.loose, *self.numbers
+        parts = points, turns, shape.chart.loose_numbers(self.loose), *self.numbers
         return shape.drop(jnp.concatenate([part.ravel() for part in parts]))
 
 

@@ -15,9 +15,11 @@ from ._typing import float_array
 from .coincidence import overlaid
 from .constraint import AbstractChainConstraint, AbstractConstraint, Joint
 from .flow import AbstractFlow
-from .force import AbstractForce, Bending, BendingEnergy, JointBending
+from .force import AbstractForce, Bending, BendingEnergy, ElasticRod, JointBending
 from .frames import framed
 from .geometry import smallest_gap
+from .material import check as check_frames
+from .material import with_frames
 from .mobility import RPY, AbstractMobility, Operator
 from .setting import Setting
 from .state import Load, State, check_single
@@ -124,10 +126,14 @@ class Scene(Setting):
         return every
 
     def begin(self, state: State) -> State:
-        """A state with all that the terms need: normals of its fibres, where a drive acts along them."""
+        """A state with all that the terms need: normals of its fibres, where a drive acts along them,
+        material frames, and what forces own.
+        """
         planar = state.position.shape[1] == 2
         if not planar and any(force.framed(self.chain) for force in self.forces):
             state = framed(state, self.chain)
+        if not planar and state.frame is None and any(force.needs_frames for force in self.forces):
+            state = with_frames(state, self.chain)
         own = self._begun(state)
         if state.own is not None or own is None:
             return state
@@ -144,7 +150,7 @@ class Scene(Setting):
         every = self._begun(state) if state.own is None else state.own
         if every is None:
             return state
-        return State(state.position, state.director, state.normal, every[index])
+        return eqx.tree_at(lambda s: s.own, state, every[index], is_leaf=lambda x: x is None)
 
     def load_of(self, index: int, t: Any, state: State) -> Load:
         """The load of one of the forces."""
@@ -246,6 +252,9 @@ def check(
         names = [type(t).__name__ for t in (*scene.constraints, *scene.forces) if t.oriented]
         must = f"hold directors for {' and '.join(names)}"
         fail("state", must, "it holds none (`from_directors` makes such a state)")
+    check_frames(state, chain)
+    if state.frame is not None and not scene.rotational:
+        fail("state", "hold no frames", "no term of the scene turns beads")
     _check_own(scene, state)
     for leaf in jax.tree.leaves(scene):
         if position.dtype == jnp.float32 and getattr(leaf, "dtype", None) == jnp.float64:
@@ -256,8 +265,9 @@ def check(
         term.check(chain, dim)
     jointed = any(isinstance(c, Joint) for c in scene.constraints)
     for force in scene.forces:
-        if isinstance(force, Bending) and jointed:
-            fail("scene.forces", "bend a chain of Joint with JointBending", "it holds Bending")
+        if isinstance(force, (Bending, ElasticRod)) and jointed:
+            how = f"it holds {type(force).__name__}"
+            fail("scene.forces", "bend a chain of Joint with JointBending", how)
         if isinstance(force, JointBending) and not jointed:
             fail("scene.constraints", "hold Joint beside JointBending", "it does not")
     scene.domain.check(dim)
@@ -310,7 +320,7 @@ def _warn_of_loose_fibres(scene: Scene) -> None:
     if not chain.joint_mask.any() or any(t.links for t in (*scene.constraints, *scene.forces)):
         return
     for force in scene.forces:
-        if not isinstance(force, (Bending, BendingEnergy)):
+        if not isinstance(force, (Bending, BendingEnergy, ElasticRod)):
             continue
         if known(force.rigidity) and not np.any(np.asarray(force.rigidity)):
             continue

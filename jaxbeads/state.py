@@ -24,6 +24,8 @@ class State(eqx.Module):
       the scene needs orientations.
     - `normal`: a unit vector normal to each fibre in space, shape `(fibres, 3)`, which turns with it
       without spin, or `None` (see `frames`). A run adds it where a drive acts along such normals.
+    - `frame`: a unit vector d_1 normal to the fibre at each bead in space, shape `(beads, 3)`, fixed to
+      the material, or `None` (see `material`). A run adds it where a force needs it, see `with_frames`.
     - `own`: numbers that forces own, one array (or `None`) for each force of the scene, or `None` (see
       `AbstractForce.begin`). A run adds them; a force finds its own array here.
 
@@ -45,6 +47,9 @@ class State(eqx.Module):
     normal: Float[Array, "fibres dim"] | None = eqx.field(
         converter=optional_float_array, default=None
     )
+    frame: Float[Array, "beads dim"] | None = eqx.field(
+        converter=optional_float_array, default=None
+    )
     own: Any = None
 
     def __check_init__(self) -> None:
@@ -62,6 +67,11 @@ class State(eqx.Module):
                 must = "have shape (fibres, 3), in space"
                 fail("normal", must, f"it has {self.normal.shape} beside positions of {shape}")
             finite("normal", self.normal)
+        if self.frame is not None:
+            if shape[1] != 3 or self.frame.shape != shape:
+                must = "have the position's shape, in space"
+                fail("frame", must, f"it has {self.frame.shape} beside positions of {shape}")
+            finite("frame", self.frame)
 
 
 def check_single(state: State) -> None:

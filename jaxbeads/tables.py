@@ -22,6 +22,7 @@ _MEANINGS = {
     "position": ("centre of each bead", "length"),
     "director": ("unit vector fixed to each bead", "1"),
     "normal": ("unit normal of each fibre, which turns with it without spin", "1"),
+    "frame": ("unit vector normal to the fibre and fixed to the material of each bead", "1"),
     "residual": ("constraint residual", "1"),
     "bond_length_error": ("largest relative error of a bond length", "1"),
     "steps": ("attempted steps of the solver", "1"),
@@ -54,6 +55,7 @@ def labelled(
         "position": ["bead", "component"],
         "director": ["bead", "component"],
         "normal": ["fibre", "component"],
+        "frame": ["bead", "component"],
     }
     arrays = {name: getattr(states, name) for name in dimensions} | dict(values)
     variables = {

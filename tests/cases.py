@@ -29,6 +29,8 @@ from jaxbeads.force import (
     BendingEnergy,
     Contact,
     DrivingMoment,
+    ElasticRod,
+    EndTorque,
     Follower,
     ForceField,
     MagneticFibre,
@@ -84,7 +86,9 @@ def turning_field(dim):
 
 def forces(dim):
     """Each acts on a chain of any number of beads."""
-    return [
+    solid = [ElasticRod(30.0, 20.0, 45.0, 0.05, TravellingWave(0.2, 0.4, 1.5, 0.3), 0.07)]
+    solid += [EndTorque(0.6), EndTorque([0.3, -0.6, 0.9], end=0)]
+    return (solid if dim == 3 else []) + [
         Weight(np.array([0.1, -0.4, 0.2])[:dim]),
         Bending(30.0, 0.02),
         Bending(30.0, 0.02, SineRuleCurvature()),
@@ -184,7 +188,7 @@ RATE, CURVATURE, VELOCITY, MOMENT = (0, -1, 0), (-1, 0, 0), (1, -1, 0), (1, 0, 1
 _BENDING = {"rigidity": (2, 0, 1), "intrinsic_curvature": CURVATURE}
 _FIELD, _MAGNET = (-1, 0, 0.5), (2, 0, 0.5)  # in Gaussian units: B^2 is an energy per volume
 DIMENSIONS = {
-    "State": {"position": LENGTH, "director": NUMBER},
+    "State": {"position": LENGTH, "director": NUMBER, "frame": NUMBER},
     "Chain": {"radius": LENGTH, "gap": LENGTH},
     "Scene": {"viscosity": (-2, 1, 1)},
     "Weight": {"force": FORCE},
@@ -195,6 +199,15 @@ DIMENSIONS = {
     "DrivingMoment": {"moment": MOMENT},
     "Spring": {"stiffness": (-1, 0, 1)},
     "Contact": {"strength": FORCE, "roughness": LENGTH, "decay": LENGTH},
+    "ElasticRod": dict(
+        rigidity=(2, 0, 1),
+        twist_rigidity=(2, 0, 1),
+        second_rigidity=(2, 0, 1),
+        intrinsic_curvature=CURVATURE,
+        second_curvature=CURVATURE,
+        intrinsic_twist=CURVATURE,
+    ),
+    "EndTorque": {"torque": MOMENT},
     "Follower": {"force": FORCE},
     "ForceField": {"function": FORCE},
     "Potential": {"function": MOMENT},
@@ -218,6 +231,7 @@ DIMENSIONS = {
     "Poiseuille": {"speed": VELOCITY, "half_width": LENGTH},
     "PrescribedPosition": {"law": LENGTH},
     "PrescribedSpin": {"law": RATE},
+    "PrescribedRoll": {"law": RATE},
     "PrescribedDirection": {"law": NUMBER},
     "PrescribedLengths": {"law": LENGTH},
     "NoSlipWall": {"point": LENGTH, "normal": NUMBER},
@@ -227,6 +241,7 @@ _GIVEN = {
     "function": (TIME, LENGTH),
     "law": (TIME,),
     "intrinsic_curvature": (TIME, LENGTH, LENGTH),
+    "second_curvature": (TIME, LENGTH, LENGTH),
     "moment": (TIME, LENGTH, LENGTH),
 }
 
@@ -325,10 +340,11 @@ def flow(value, turn):
 
 # How the numbers of a class turn; those that are not here do not.
 TURNS = {
-    "State": {"position": place, "director": vector, "normal": vector},
+    "State": {"position": place, "director": vector, "normal": vector, "frame": vector},
     "Scene": {"flow": flow},
     "NoSlipWall": {"point": place, "normal": vector},
     "Weight": {"force": vector},
+    "EndTorque": {"torque": lambda value, turn: vector(value, turn) if value.ndim else value},
     "Bending": {"intrinsic_curvature": axial},
     "ForceField": {"function": lambda f, turn: Partial(_vectors, turn, f)},
     "Potential": {"function": lambda f, turn: Partial(_numbers, turn, f)},

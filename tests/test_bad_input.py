@@ -30,6 +30,7 @@ from jaxbeads import (
     scenes,
     simulate,
     straight,
+    with_frames,
 )
 from jaxbeads.__main__ import main
 from jaxbeads.actuation import (
@@ -46,6 +47,7 @@ from jaxbeads.constraint import (
     PrescribedDirection,
     PrescribedLengths,
     PrescribedPosition,
+    PrescribedRoll,
     PrescribedSpin,
     clamped,
 )
@@ -55,6 +57,8 @@ from jaxbeads.force import (
     Bending,
     BendingEnergy,
     Contact,
+    ElasticRod,
+    EndTorque,
     Follower,
     ForceField,
     JointBending,
@@ -442,6 +446,41 @@ DRIVES = {
         lambda: run(scene=model(constraints=[Gears(), PrescribedDirection(bond=4)])),
         "`PrescribedDirection.bond` must lie between -4 and 3, but it is 4",
     ),
+    "a rod in the plane": (
+        lambda: run_force(ElasticRod(1.0, 1.0)),
+        "`state` must be in space for ElasticRod, but it is planar",
+    ),
+    "twist rigidity below zero": (
+        lambda: ElasticRod(1.0, -1.0),
+        "`twist_rigidity` must not be negative",
+    ),
+    "a twist for each joint": (
+        lambda: run_force(ElasticRod(1.0, 1.0, intrinsic_twist=np.ones(3)), state=SPATIAL),
+        "`ElasticRod.intrinsic_twist` must have shape () or (4,), but it has shape (3,)",
+    ),
+    "frames along the fibre": (
+        lambda: run_force(state=State(SPATIAL.position, frame=jnp.tile(jnp.eye(3)[:1], (5, 1)))),
+        "`state.frame` must hold unit vectors normal to the fibre, but",
+    ),
+    "frames without spins": (
+        lambda: run(with_frames(SPATIAL, CHAIN), scene=model(constraints=[], forces=[])),
+        "`state` must hold no frames, but no term of the scene turns beads",
+    ),
+    "a normal along the fibre": (
+        lambda: with_frames(SPATIAL, CHAIN, [1.0, 0.0, 0.0]),
+        "`normal` must lie across the fibre, but it points along it",
+    ),
+    "planar frames": (lambda: with_frames(START, CHAIN), "`state` must be one state in space"),
+    "roll in the plane": (
+        lambda: run(scene=model(constraints=[Gears(), PrescribedRoll()])),
+        "`state` must be in space for PrescribedRoll",
+    ),
+    "two rolls of one": (
+        lambda: run(SPATIAL, scene=model(constraints=[Gears(), PrescribedRoll([1.0, 2.0])])),
+        "`PrescribedRoll.law` must have shape ()",
+    ),
+    "a torque in the middle": (lambda: EndTorque(1.0, end=2), "`end` must be -1 (last bead) or 0"),
+    "two torques": (lambda: EndTorque([1.0, 2.0]), "`torque` must have shape () or (3,)"),
     "half a bead": (lambda: PrescribedSpin(bead=0.5), "`bead` must be a whole number"),
     "a spatial law in the plane": (
         lambda: run(scene=model(constraints=[Gears(), PrescribedDirection(HelicalBeat(0.1, 1.0))])),

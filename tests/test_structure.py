@@ -31,7 +31,7 @@ ORDER = [
     {"images", "mirror"},
     {"fields"},
     {"chain", "flow", "actuation", "dimensionless", "magnetism"},
-    {"frames", "setting", "tables"},
+    {"frames", "material", "setting", "tables"},
     {"carried"},
     {"mobility", "constraint", "force", "coincidence"},
     {"scene"},
@@ -53,6 +53,7 @@ ORDER = [
 # What the files of a sub-package may import from one another.
 SHARED = {
     "solver": {"base", "watch", "tolerance"},
+    "constraint": {"base", "prescribed"},
     "force": {"base", "curvature"},
     "scenes": {"case", "models"},
     "plot": {"base", "space"},

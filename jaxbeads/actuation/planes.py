@@ -21,8 +21,9 @@ class TwoPlanes(AbstractCurvature):
     waves a quarter of a period apart make a helical wave. A state without a normal starts with y, turned
     by the smallest rotation from x to a (from -x, where a points that way). See `jaxbeads.frames`.
 
-    The model has no torsion that could carry a frame along with a fibre that spins about its axis. A
-    frame that does not spin sees the same wave at another frequency, so nothing is lost but that shift.
+    These normals do not spin with a fibre that turns about its axis, so they see the wave at a frequency
+    of their own. Waves that turn with the material are those of `force.ElasticRod`, whose two curvatures
+    at rest may be functions, too.
 
     **Arguments**: `first`, `second`: planar curvatures, as `TravellingWave`.
 

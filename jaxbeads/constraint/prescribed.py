@@ -15,10 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._checks import fail, index, whole
+from .._checks import fail, finite, index, shape, whole
 from .._functions import check_law, law_of, leaf_function, rate_of
+from .._typing import optional_float_array
 from ..chain import Chain, check_bond
 from ..geometry import bonds, norm, normals, tangents, unit
+from ..material import directions
 from ..state import Motion, State, spins
 from .base import AbstractConstraint
 
@@ -37,10 +39,14 @@ def _law(function: Any) -> Any:
     return None if function is None else _needed(function)
 
 
+def _number_or_law(value: Any) -> Any:
+    return leaf_function(value, "law") if callable(value) else optional_float_array(value)
+
+
 Indices = int | tuple[int, ...]
 
 
-def _indices(value: Any) -> Any:
+def indices(value: Any) -> Any:
     """One index, or several as a tuple."""
     if isinstance(value, (Sequence, np.ndarray)) and not isinstance(value, str):
         return tuple(value.tolist() if isinstance(value, np.ndarray) else value)
@@ -97,7 +103,7 @@ class PrescribedPosition(AbstractConstraint):
 
     rotational: ClassVar[bool] = False
     law: Law | None = eqx.field(converter=_law, default=None)
-    bead: Indices = eqx.field(static=True, converter=_indices, default=0)
+    bead: Indices = eqx.field(static=True, converter=indices, default=0)
 
     def __check_init__(self) -> None:
         _check_indices("bead", self.bead)
@@ -160,7 +166,7 @@ class PrescribedSpin(AbstractConstraint):
     rotational: ClassVar[bool] = True
     turning: ClassVar[bool] = True
     law: Law | None = eqx.field(converter=_law, default=None)
-    bead: Indices = eqx.field(static=True, converter=_indices, default=0)
+    bead: Indices = eqx.field(static=True, converter=indices, default=0)
 
     def __check_init__(self) -> None:
         _check_indices("bead", self.bead)
@@ -182,6 +188,72 @@ class PrescribedSpin(AbstractConstraint):
         if self.law is None:
             return spin
         return spin - law_of("PrescribedSpin.law", self.law, t, spin.shape, spin.dtype)
+
+
+class PrescribedRoll(AbstractConstraint):
+    """A bead turns about the fibre as Omega(t): w . t = Omega, with t the fibre's direction there, of a
+    fibre in space. Its material frame turns with it, see `material`.
+
+    **Arguments**
+
+    - `law`: Omega [1/time], a number or a function of the time that returns one. `None`: no roll.
+    - `bead`: index of the bead; -1 is the last one. Of several beads a sequence of indices, with one
+      number for all or one for each; a function returns one for each.
+    - `across`: whether spins across the fibre are held as well, as at a clamped end. Leave them free
+      where the fibre turns.
+
+    >>> import jaxbeads as jb
+    >>> from jaxbeads.constraint import Gears, PrescribedRoll
+    >>> chain = jb.Chain(radius=1.0, fibres=3)
+    >>> scene = jb.Scene(chain, 1.0, constraints=[Gears(), PrescribedRoll(2.0)])
+    >>> spin = jb.dynamics.motion(0.0, jb.straight(chain, [0.0, 0.0, 1.0]), scene).spin
+    >>> print(spin[0].round(12) + 0.0)
+    [0. 0. 2.]
+    """
+
+    rotational: ClassVar[bool] = True
+    turning: ClassVar[bool] = True
+    law: Any = eqx.field(converter=_number_or_law, default=None)
+    bead: Indices = eqx.field(static=True, converter=indices, default=0)
+    across: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self) -> None:
+        _check_indices("bead", self.bead)
+        if isinstance(self.law, Array):
+            finite("law", self.law)
+
+    def check(self, chain: Chain, dim: int) -> None:
+        """Beads of the chain that have bonds, in space, and a number for each."""
+        if dim != 3:
+            fail("state", "be in space for PrescribedRoll", "it is planar (use `PrescribedSpin`)")
+        for bead in _every(self.bead):
+            index("PrescribedRoll.bead", bead, chain.beads)
+            if chain.fibres[chain.fibre_of_bead[bead]] < 2:
+                how = f"bead {bead} is all of its fibre, which has no direction"
+                fail("PrescribedRoll.bead", "have a bond", how)
+        size = _size(self.bead)
+        if isinstance(self.law, Array):
+            shape("PrescribedRoll.law", self.law, (), size)
+        else:
+            check_law("PrescribedRoll.law", self.law, size, chain.radius.dtype)
+
+    def slip(self, t: Float[Array, ""], state: State, motion: Motion, chain: Chain) -> Array:
+        """Spin about the fibre minus that of the law [1/time], `()`; `across`: of all spins, `(3,)`."""
+        if motion.spin is None:
+            raise ValueError(
+                "Argument `motion` must hold spins for PrescribedRoll, but it holds none."
+            )
+        spin, along = (
+            x[_at(self.bead)] for x in (motion.spin, directions(state.position, chain)[1])
+        )
+        roll = jnp.zeros(_size(self.bead), spin.dtype)
+        if isinstance(self.law, Array):
+            roll = roll + self.law
+        elif self.law is not None:
+            roll = law_of("PrescribedRoll.law", self.law, t, roll.shape, roll.dtype)
+        if self.across:
+            return spin - roll[..., None] * along
+        return jnp.sum(spin * along, axis=-1) - roll
 
 
 class PrescribedDirection(AbstractConstraint):
@@ -208,7 +280,7 @@ class PrescribedDirection(AbstractConstraint):
 
     rotational: ClassVar[bool] = False
     law: Law | None = eqx.field(converter=_law, default=None)
-    bond: Indices = eqx.field(static=True, converter=_indices, default=0)
+    bond: Indices = eqx.field(static=True, converter=indices, default=0)
 
     def __check_init__(self) -> None:
         _check_indices("bond", self.bond)
@@ -298,46 +370,3 @@ class PrescribedLengths(AbstractConstraint):
         now, first = (norm(bonds(s.position)) for s in (state, start[1]))
         led = _led("PrescribedLengths.law", self.law, t, start[0], now) * chain.bond_mask
         return (now - first) * chain.bond_mask - led, led
-
-
-def clamped(
-    end: int | Sequence[int] = 0, *, spinless: bool = False
-) -> tuple[AbstractConstraint, ...]:
-    """Constraints that clamp an end: its bead and the direction of its bond are held.
-
-    **Arguments**
-
-    - `end`: 0 for the first bead, -1 for the last. Of several fibres, bead `end` of all, with the bond
-      to the next bead if it is counted from the first, with that from the bead before if it is counted
-      from the last, as -1. Several ends as a sequence: `chain.first_beads`, `chain.last_beads`.
-    - `spinless`: for scenes without rotation; otherwise the bead's spin is held too, eq. (59).
-
-    >>> import jaxbeads as jb
-    >>> from jaxbeads.constraint import Gears, clamped
-    >>> from jaxbeads.force import Bending, Weight
-    >>> for held in clamped():
-    ...     print(jb.dynamics.named(held))
-    PrescribedPosition(bead=0)
-    PrescribedDirection(bond=0)
-    PrescribedSpin(bead=0)
-    >>> beam = jb.Scene(
-    ...     jb.Chain(radius=1.0, fibres=5),
-    ...     viscosity=1.0,
-    ...     constraints=[Gears(), *clamped()],
-    ...     forces=[Bending(100.0), Weight([0.0, -0.1])],
-    ... )
-    """
-    end = _indices(end)
-    held = (PrescribedPosition(bead=end), PrescribedDirection(bond=end))
-    return held if spinless else (*held, PrescribedSpin(bead=end))
-
-
-def hinged(end: int | Sequence[int] = 0) -> tuple[AbstractConstraint, ...]:
-    """Constraints that hinge an end, or several as for `clamped`: its bead is held, free to turn.
-
-    >>> import jaxbeads as jb
-    >>> from jaxbeads.constraint import hinged
-    >>> print([jb.dynamics.named(held) for held in hinged(-1)])
-    ['PrescribedPosition(bead=-1)']
-    """
-    return (PrescribedPosition(bead=_indices(end)),)

@@ -48,6 +48,9 @@ class AbstractForce(eqx.Module):
     stiff: ClassVar[bool] = False
     """Whether it is stiff, as bending is: true of a force that bounds explicit steps."""
 
+    needs_frames: ClassVar[bool] = False
+    """Whether the load depends on material frames (`State.frame`)."""
+
     @abc.abstractmethod
     def load(self, t: Float[Array, ""], state: State, scene: Setting) -> Load:
         """Forces and torques on the beads."""

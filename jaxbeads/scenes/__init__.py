@@ -1,18 +1,21 @@
 """Ready-made scenes: one file each, with a function that builds it and one that measures it.
 
 Passive fibres: `jeffery`, `shear`, `settling`, `relaxation`; driven ones: `planar_beating`,
-`helical_beating`, `follower_force`; swimmers: `nematode`, `nematode_pair`, `spiral`,
-`three_sphere`; in a magnetic field: `magnetic_rod`, `magnetic_swimmer`; at a no-slip wall: `cilium`,
-`cilia_row`, `settling_wall`, `nematode_wall`; many fibres in space: `cloud`, `shear_suspension`. Each
-returns a `Case` (scene, state, times and how to step); `case.simulate()` runs it. A new one is a file
-here and a line below: the shell (`python -m jaxbeads`) and the tests of all scenes find its
-`ReadyMade`. `GEARS`, `JOINT` and `SPRING` are bead models that may be exchanged for one another.
+`helical_beating`, `follower_force`; in space: `whirling`, `helix_formation`, `follower_force_3d`;
+swimmers: `nematode`, `nematode_pair`, `spiral`, `three_sphere`; in a magnetic field: `magnetic_rod`,
+`magnetic_swimmer`; at a no-slip wall: `cilium`, `cilia_row`, `settling_wall`, `nematode_wall`; many
+fibres in space: `cloud`, `shear_suspension`. Each returns a `Case` (scene, state, times and how to
+step); `case.simulate()` runs it. A new one is a file here and a line below: the shell (`python -m
+jaxbeads`) and the tests of all scenes find its `ReadyMade`. `GEARS`, `JOINT` and `SPRING` are bead
+models that may be exchanged for one another.
 """
 
 from .beating import *
 from .case import *
 from .cilium import *
 from .follower_force import *
+from .follower_force_3d import *
+from .helix_formation import *
 from .jeffery import *
 from .magnetic import *
 from .models import *
@@ -23,6 +26,7 @@ from .shear import *
 from .spiral import *
 from .suspension import *
 from .three_sphere import *
+from .whirling import *
 
 SCENES: tuple[ReadyMade, ...] = tuple(
     ready for ready in dict(globals()).values() if isinstance(ready, ReadyMade)

@@ -14,8 +14,10 @@ import numpy as np
 from jaxtyping import Array
 
 from ..chain import Chain, straight
+from ..coordinates import coordinates
 from ..dynamics import motion
 from ..geometry import best_rotation
+from ..linearise import linearise
 from ..rollout import Solver, Tolerance, solver_for
 from ..scene import Scene
 from ..simulate import simulate
@@ -23,7 +25,7 @@ from ..solution import Solution
 from ..solver import AbstractSolver
 from ..state import State
 
-__all__ = ["Case", "ReadyMade", "Value", "last_period", "lateral_modes"]
+__all__ = ["Case", "ReadyMade", "Value", "last_period", "lateral_modes", "modes", "whirl"]
 
 Value = float | Sequence[float] | bool | None
 """A result: a number, several, a yes or no, or none."""
@@ -198,3 +200,70 @@ def lateral_modes(scene: Scene, t: float = 0.0, held: int = 0) -> tuple[np.ndarr
     values, shapes = np.linalg.eig(np.asarray(jacobian))
     order = np.argsort(-np.real(values))
     return values[order], shapes[:, order]
+
+
+@eqx.filter_jit
+def _jacobian(scene: Scene, state: State) -> Array:
+    return linearise(0.0, coordinates(scene, state), scene).jacobian()
+
+
+def modes(scene: Scene, state: State) -> np.ndarray:
+    """Growth rates of small changes of a state in its coordinates [1/time], complex, fastest growing
+    first, without those of what is held (which are zero).
+
+    >>> import jaxbeads as jb
+    >>> chain, spring = jb.Chain(radius=1.0, fibres=2), jb.force.Spring(6 * 3.14159265)
+    >>> held = [jb.constraint.PrescribedPosition()]
+    >>> scene = jb.Scene(chain, 1.0, jb.mobility.FreeDraining(), held, [spring])
+    >>> print(jb.scenes.modes(scene, jb.straight(chain, [1.0, 0.0])).real.min().round(6))
+    -1.0
+    """
+    jacobian = np.asarray(_jacobian(scene, state))
+    size = np.abs(jacobian).max(axis=1)
+    free = size > 1e-12 * size.max()
+    values = np.linalg.eigvals(jacobian[np.ix_(free, free)]).astype(complex)
+    return values[np.argsort(-np.real(values))]
+
+
+def tip_radii(solution: Solution) -> np.ndarray:
+    """Distance of the last bead from the x axis, at each time [length]."""
+    return np.linalg.norm(np.asarray(solution.states.position)[:, -1, 1:], axis=1)
+
+
+def whirl(solution: Solution, scene: Scene) -> tuple[float, float]:
+    """Distance of the last bead from the x axis [length], and the rate at which it goes around it
+    [1/time], at the end.
+
+    >>> import jax, jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> around = jb.flow.LinearFlow([[0, 0, 0], [0, 0, -3], [0, 3, 0]])
+    >>> scene = jb.Scene(jb.Chain(1.0, 1), 1.0, flow=around)
+    >>> states = jax.vmap(jb.State)(jnp.array([[[0.0, 2.0, 0.0]]]))
+    >>> run = jb.Solution(jnp.zeros(1), states, jnp.array(1), jnp.array(0))
+    >>> print(jb.scenes.whirl(run, scene))
+    (2.0, 3.0)
+    """
+    last = solution.final
+    velocity = np.asarray(motion(solution.ts[-1], last, scene).velocity)[-1, 1:]
+    place = np.asarray(last.position)[-1, 1:]
+    square = float(place @ place)
+    turning = float(place[0] * velocity[1] - place[1] * velocity[0])
+    return square**0.5, turning / square if square else 0.0
+
+
+def settled(length: float) -> Callable[[Solution], bool]:
+    """Ends a run about the x axis once its small bend has died away to a hundredth, or once it has grown
+    and the tip keeps its place along and off the axis.
+    """
+
+    def over(solution: Solution) -> bool:
+        radii = tip_radii(solution) / length
+        if len(radii) < 22:
+            return False
+        if radii[-1] < 0.01 * radii[0]:
+            return True
+        along = np.asarray(solution.states.position)[:, -1, 0] / length
+        still = all(np.ptp(x[-21:]) < 1e-4 for x in (radii, along))
+        return bool(still and along[-1] < 0.99 * along[0])
+
+    return over
