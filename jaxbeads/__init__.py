@@ -69,6 +69,8 @@ from .steady import SteadyState as SteadyState
 from .steady import steady_state as steady_state
 from .sweep import sweep as sweep
 from .tables import to_csv as to_csv
+from .travel import Journey as Journey
+from .travel import travel as travel
 from .vary import vary as vary
 
 try:

@@ -41,7 +41,7 @@ ORDER = [
     {"linearise", "stages", "observables", "stress", "faults"},
     {"solver", "steady"},
     {"solution"},
-    {"rollout"},
+    {"rollout", "travel"},
     {"breakdown", "files", "objectives", "periodic", "progress"},
     {"run", "fluid"},
     {"simulate"},

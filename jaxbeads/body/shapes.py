@@ -72,8 +72,8 @@ def shell(radius: Any, beads: int, centre: Any = _ORIGIN) -> Body:
     >>> import jax.numpy as jnp
     >>> import jaxbeads as jb
     >>> drag = jb.locomotion.resistance(jb.body.shell(2.0, beads=60))[0, 0]
-    >>> print((drag / (6 * jnp.pi)).round(2))
-    2.0
+    >>> print(f"{drag / (6 * jnp.pi):.2f}")
+    2.00
     """
     radius = _number("radius", radius)
     return ellipsoid(jnp.stack([radius] * 3), beads, centre=centre)
@@ -99,7 +99,7 @@ def ellipsoid(semi_axes: Any, beads: int, centre: Any = _ORIGIN, direction: Any 
 
     >>> import jaxbeads as jb
     >>> egg = jb.body.ellipsoid([2.0, 1.0, 1.0], beads=50)
-    >>> print(jb.locomotion.resistance(egg)[0, 0].round(1))  # 22.70 of the spheroid
+    >>> print(f"{jb.locomotion.resistance(egg)[0, 0]:.1f}")  # 22.69 of the spheroid
     22.7
     """
     axes = _vector("semi_axes", semi_axes)
