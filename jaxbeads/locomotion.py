@@ -43,6 +43,8 @@ class BodyMotion(eqx.Module):
     - `joint_force`, `joint_torque`: of each joint on its child, `(joints, 3)`, the torque about the
       joint's point; its parent bears the opposite ones. Along a motor's axis it is the motor's torque.
     - `rate`: rate of change of the pose [length/time, 1/time].
+    - `residual`: the largest force or torque that nothing balances along a motion that is not
+      prescribed, over the sum of what all beads contribute to it: rounding.
 
     >>> import jaxbeads as jb
     >>> ball, socket = jb.body.sphere(1.0), jb.body.Weld(None, 0)
@@ -57,6 +59,7 @@ class BodyMotion(eqx.Module):
     joint_force: Float[Array, "joints 3"]
     joint_torque: Float[Array, "joints 3"]
     rate: Pose
+    residual: Float[Array, ""]
 
 
 class _Vectors(NamedTuple):
@@ -189,11 +192,11 @@ def motion(t: Any, pose: Pose, assembly: Assembly) -> BodyMotion:
 @eqx.filter_jit
 def _motion(t: Array, pose: Pose, assembly: Assembly) -> BodyMotion:
     frames = assembly.frames(pose)
-    f, u, vectors, outer = _solved(t, pose, assembly, frames)
+    f, u, vectors, outer, residual = _solved(t, pose, assembly, frames)
     twists = assembly.twists(t, pose, frames, u)
     load = vectors.load(f)
     force, torque = _borne(assembly, frames, load, outer)
-    return BodyMotion(*twists, load, force, torque, assembly.rate(t, pose, u))
+    return BodyMotion(*twists, load, force, torque, assembly.rate(t, pose, u), residual)
 
 
 def rate(t: Any, pose: Pose, assembly: Assembly) -> Pose:
@@ -233,8 +236,8 @@ def _outer(t: Array, assembly: Assembly, position: Array, dtype: Any) -> _Outer:
 
 def _solved(
     t: Array, pose: Pose, assembly: Assembly, frames: Frames
-) -> tuple[Array, Array, _Vectors, _Outer]:
-    """f, u, how f is a load, and the loads from outside."""
+) -> tuple[Array, Array, _Vectors, _Outer, Array]:
+    """f, u, how f is a load, the loads from outside, and the residual."""
     position = assembly.positions(frames)
     scene = assembly.scene
     configuration = scene.configuration(State(position), True)
@@ -260,7 +263,8 @@ def _solved(
     pulled = k.T @ vectors.of_load(force, torque)
     pulled = pulled + _powers(t, pose, assembly, frames, turned, outer, position)
     f, u = _System(vectors, operator, k).solve(prescribed, pulled)
-    return f, u / units, vectors, outer
+    off = jnp.abs(k.T @ f - pulled) / jnp.maximum(jnp.abs(k.T) @ jnp.abs(f), jnp.finfo(dtype).tiny)
+    return f, u / units, vectors, outer, lax.stop_gradient(jnp.max(off, initial=0.0))
 
 
 def _units(assembly: Assembly, length: Array) -> Array:

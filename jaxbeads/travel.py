@@ -66,7 +66,7 @@ class Journey(eqx.Module):
 
         states = jax.vmap(lambda pose: State(position(pose)))(self.poses)
         none, method = jnp.zeros_like(self.ts), name_number(type(_SCHEME).__name__)
-        return Solution(self.ts, states, self.steps, self.code, none, none, method=method)
+        return Solution(self.ts, states, self.steps, self.code, None, none, method=method)
 
 
 def travel(

@@ -3,12 +3,14 @@
 Passive fibres: `jeffery`, `shear`, `settling`, `relaxation`; driven ones: `planar_beating`,
 `helical_beating`, `follower_force`; swimmers: `nematode`, `nematode_pair`, `spiral`,
 `three_sphere`; at a no-slip wall: `cilium`, `cilia_row`, `settling_wall`, `nematode_wall`; many
-fibres in space: `cloud`, `shear_suspension`. Each returns a `Case` (scene, state, times and how to
-step); `case.simulate()` runs it. A new one is a file here and a line below: the shell
-(`python -m jaxbeads`) and the tests of all scenes find its `ReadyMade`. `GEARS`, `JOINT` and
-`SPRING` are bead models that may be exchanged for one another.
+fibres in space: `cloud`, `shear_suspension`; rigid bodies: `rigid_helix`, `bacterium`. Each returns a
+`Case` (scene, state, times and how to step), of bodies an `AssemblyCase`; `case.simulate()` runs it.
+A new one is a file here and a line below: the shell (`python -m jaxbeads`) and the tests of all scenes
+find its `ReadyMade`. `GEARS`, `JOINT` and `SPRING` are bead models that may be exchanged for one
+another.
 """
 
+from .bacterium import *
 from .beating import *
 from .case import *
 from .cilium import *
@@ -17,6 +19,7 @@ from .jeffery import *
 from .models import *
 from .nematode import *
 from .relaxation import *
+from .rigid_helix import *
 from .settling import *
 from .shear import *
 from .spiral import *
