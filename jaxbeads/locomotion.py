@@ -131,10 +131,11 @@ class _System(NamedTuple):
     carried: Array
     """K."""
 
-    def equations(self, both: tuple[Array, Array]) -> tuple[Array, Array]:
-        """M f - K u, -K^T f: symmetric."""
-        f, u = both
-        return self.vectors.product(self.operator, f) - self.carried @ u, -(self.carried.T @ f)
+    def equations(self, both: Array) -> Array:
+        """M f - K u and -K^T f, of f and u in one vector: symmetric."""
+        f, u = jnp.split(both, [len(self.carried)])
+        moved = self.vectors.product(self.operator, f) - self.carried @ u
+        return jnp.concatenate([moved, -(self.carried.T @ f)])
 
     def solve(self, moved: Array, pulled: Array) -> tuple[Array, Array]:
         """f and u, whose M f - K u is `moved` and whose K^T f is `pulled`."""
@@ -142,13 +143,16 @@ class _System(NamedTuple):
         factor = _Factor.of(vectors.matrix(operator))
         columns = factor.solve(k)
 
-        def eliminated(_: Any, rhs: tuple[Array, Array]) -> tuple[Array, Array]:
-            f = factor.solve(rhs[0])
-            u = _small(k.T @ columns, -rhs[1] - k.T @ f)
-            return f + columns @ u, u
+        def eliminated(_: Any, rhs: Array) -> Array:
+            moved, pulled = jnp.split(rhs, [len(k)])
+            f = factor.solve(moved)
+            u = _small(k.T @ columns, -pulled - k.T @ f)
+            return jnp.concatenate([f + columns @ u, u])
 
-        rhs = moved, -pulled
-        return lax.custom_linear_solve(self.equations, rhs, eliminated, symmetric=True)
+        rhs = jnp.concatenate([moved, -pulled])
+        both = lax.custom_linear_solve(self.equations, rhs, eliminated, symmetric=True)
+        f, u = jnp.split(both, [len(k)])
+        return f, u
 
 
 def _ambient(

@@ -1,8 +1,8 @@
 """`travel`: the path of an `Assembly`, as a pure function; `Journey`: what it returns.
 
-Poses are integrated by `diffrax.Tsit5` in steps that a tolerance chooses; joints hold exactly, since a
-pose has no numbers in which they could fail. Derivatives, in both modes, are those of the steps that are
-taken (`loops`).
+Poses are integrated by Tsitouras' method (that of `diffrax.Tsit5`) in steps that a tolerance chooses;
+joints hold exactly, since a pose has no numbers in which they could fail. Derivatives, in both modes,
+are those of the steps that are taken (`loops`).
 """
 
 from typing import Any
@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
 from ._checks import fail, finite, increasing, kind, known, positive, shape, whole
@@ -27,9 +28,14 @@ from .state import State
 
 __all__ = ["Journey", "travel"]
 
-_SCHEME: Any = diffrax.Tsit5(scan_kind="bounded")  # which has derivatives in both modes
-_TERM: Any = diffrax.ODETerm(turning)
+_TABLEAU: Any = diffrax.Tsit5.tableau
 _ORDER = 5
+_STAGES = len(_TABLEAU.c) + 1
+# Of each stage, shares of the rates before it; the last stage is at the end of the step.
+_SHARES = np.zeros((_STAGES, _STAGES))
+for _k, _row in enumerate(_TABLEAU.a_lower):
+    _SHARES[_k + 1, : _k + 1] = _row
+_TIMES = np.concatenate([[0.0], _TABLEAU.c])
 
 
 class Journey(eqx.Module):
@@ -65,7 +71,7 @@ class Journey(eqx.Module):
             return assembly.positions(assembly.frames(pose))
 
         states = jax.vmap(lambda pose: State(position(pose)))(self.poses)
-        none, method = jnp.zeros_like(self.ts), name_number(type(_SCHEME).__name__)
+        none, method = jnp.zeros_like(self.ts), name_number("Tsit5")
         return Solution(self.ts, states, self.steps, self.code, None, none, method=method)
 
 
@@ -112,11 +118,11 @@ def travel(
     if known(tolerance) and not least <= np.asarray(tolerance) <= 0.1:
         must = f"lie between {least:.1g} (rounding) and 0.1"
         fail("tolerance", must, f"it is {float(tolerance):g}", "How do I choose a tolerance?")
-    if step is not None:
-        step = float_array(step).astype(ts.dtype)
-        shape("step", step, ())
-        positive("step", step)
     finite("pose.turn", pose.turn)
+    first = _first_step(ts[0], ts[1] - ts[0], pose, assembly) if step is None else step
+    step = float_array(first).astype(ts.dtype)
+    shape("step", step, ())
+    positive("step", step)
     return _travel(assembly, pose, ts, tolerance, step, max_steps)
 
 
@@ -126,7 +132,6 @@ class _Carry(eqx.Module):
     t: Array
     step: Array
     pose: Pose
-    memory: Any
     code: Array
 
 
@@ -145,29 +150,26 @@ def _amount(change: Pose, size: Array) -> Array:
     return jnp.maximum(moved, 2 * jnp.max(norm(change.turn)))
 
 
+def _first_step(t: Array, gap: Array, pose: Pose, assembly: Assembly) -> Array:
+    """In which nothing moves by more than a hundredth."""
+    t, gap, pose, assembly = lax.stop_gradient((t, gap, pose, assembly))
+    speed = _amount(turning(t, pose, assembly), _size(assembly))
+    return jnp.where(speed > 0, 0.01 / jnp.where(speed > 0, speed, 1.0), gap)
+
+
 @with_all_digits
 @eqx.filter_jit
 def _travel(
-    assembly: Assembly,
-    pose: Pose,
-    ts: Array,
-    tolerance: Array,
-    step: Array | None,
-    max_steps: int,
+    assembly: Assembly, pose: Pose, ts: Array, tolerance: Array, step: Array, max_steps: int
 ) -> Journey:
-    size = lax.stop_gradient(_size(assembly))
-    if step is None:
-        speed = _amount(*lax.stop_gradient((turning(ts[0], pose, assembly), size)))
-        step = jnp.where(speed > 0, 0.01 / jnp.where(speed > 0, speed, 1.0), ts[1] - ts[0])
-    none = jnp.zeros((), int)
+    size, none = lax.stop_gradient(_size(assembly)), jnp.zeros((), int)
     first = linked((pose, lax.stop_gradient(step), none, none), (assembly, pose, ts))
 
     def interval(carry: Any, span: tuple[Array, Array]) -> tuple[Any, Pose]:
         pose, step, steps, code = carry
         t0, t1 = span
-        memory = _SCHEME.init(_TERM, t0, t0 + step, pose, assembly)
-        start = none, _Carry(t0, step, pose, memory, code)
         fixed = assembly, t1, tolerance, size
+        start = none, _Carry(t0, step, pose, code)
         count, end = loop(_unfinished, _attempted, start, fixed, max_steps)
         code = jnp.where((end.t < t1) & (end.code == 0), Outcome.TOO_MANY_STEPS, end.code)
         pose = Pose(end.pose.place, unit(end.pose.turn))
@@ -177,6 +179,25 @@ def _travel(
     last, rest = lax.scan(interval, first, (ts[:-1], ts[1:]))
     poses = jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), pose, rest)
     return Journey(ts, poses, last[2], last[3], last[1])
+
+
+def _stepped(t: Array, h: Array, pose: Pose, assembly: Assembly) -> tuple[Pose, Pose]:
+    """A step of Tsitouras' method of order 5 (2011), and its error."""
+    start, whole = ravel_pytree(pose)
+
+    def stage(rates: Array, now: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+        index, shares, share = now
+        at = start + h * (shares @ rates)
+        rate = turning(t + share * h, whole(at), assembly)
+        return rates.at[index].set(ravel_pytree(rate)[0]), at
+
+    rates = jnp.zeros((_STAGES, len(start)), start.dtype)
+    shares, times = (jnp.asarray(x, start.dtype) for x in (_SHARES, _TIMES))
+    each = jnp.arange(_STAGES), shares, times
+    # A loop, so that the equations stand in the program once.
+    rates, places = lax.scan(stage, rates, each)
+    error = h * (jnp.asarray(_TABLEAU.b_error, start.dtype) @ rates)
+    return whole(places[-1]), whole(error)
 
 
 def _unfinished(now: Any, fixed: Any) -> Array:
@@ -191,10 +212,7 @@ def _attempted(now: Any, fixed: Any) -> Any:
     left = t1 - carry.t
     last = carry.step >= left
     h = jnp.where(last, left, carry.step)
-    end = jnp.where(last, t1, carry.t + h)
-    pose, error, _, memory, _ = _SCHEME.step(
-        _TERM, carry.t, end, carry.pose, assembly, carry.memory, jnp.zeros((), bool)
-    )
+    pose, error = _stepped(carry.t, h, carry.pose, assembly)
     wrong = lax.stop_gradient(_amount(error, size) / tolerance)
     good = jnp.all(jnp.isfinite(pose.turn)) & jnp.all(jnp.isfinite(pose.place))
     outside = assembly.scene.outside(State(assembly.positions(assembly.frames(pose))))
@@ -208,9 +226,6 @@ def _attempted(now: Any, fixed: Any) -> Any:
     following = lax.stop_gradient(following)
     stuck = ~keep & (carry.t + following <= carry.t)
     code = jnp.where(stuck, Outcome.GAVE_UP, carry.code)
-    t, pose, memory = jax.tree.map(
-        lambda new, old: jnp.where(keep, new, old),
-        (end, pose, memory),
-        (carry.t, carry.pose, carry.memory),
-    )
-    return count + 1, _Carry(t, following, pose, memory, code)
+    new, old = (jnp.where(last, t1, carry.t + h), pose), (carry.t, carry.pose)
+    t, pose = jax.tree.map(lambda new, old: jnp.where(keep, new, old), new, old)
+    return count + 1, _Carry(t, following, pose, code)
