@@ -353,3 +353,87 @@ def test_units(length, time, force):
     assert np.abs(found.velocity * time / length - moved.velocity).max() < 1e-11
     assert np.abs(found.spin * time - moved.spin).max() < 1e-11
     assert np.abs(found.joint_torque / (force * length) - moved.joint_torque).max() < 1e-8
+
+
+BALL = sphere(1.0)
+BAD = {
+    "points in the plane": (
+        lambda: jb.Body([[0.0, 0.0]], 1.0),
+        "`position` must have shape (beads, 3), but it has shape (1, 2)",
+    ),
+    "no radius": (lambda: jb.Body([[0.0, 0.0, 0.0]], 0.0), "`radius` must be positive"),
+    "turns and beads": (lambda: helix(1.0, 2.0), "`turns` must be given, or `beads`"),
+    "a flat helix": (lambda: helix(1.0, 0.0, turns=1), "`pitch` must not be zero"),
+    "few beads of a shell": (lambda: shell(1.0, 3), "`beads` must be at least 4, but it is 3"),
+    "no file": (lambda: jb.body.read_points("none.txt"), "`path` must be a file of text"),
+    "an axis of zero": (lambda: Motor(0, 1, axis=[0.0, 0.0, 0.0]), "`axis` must not be zero"),
+    "a soft hook": (lambda: Ball(0, 1, stiffness=-1.0), "`stiffness` must not be negative"),
+    "a joint to itself": (lambda: Weld(1, 1), "`child` must be another body than `parent`"),
+    "no body": (lambda: jb.Assembly([], 1.0), "`bodies` must be a list of Body objects"),
+    "a chain": (
+        lambda: jb.Assembly([jb.Chain(1.0, 1)], 1.0),
+        "`bodies` must be a Body object, but it is a Chain",
+    ),
+    "a body that is not there": (
+        lambda: jb.Assembly([BALL], 1.0, [Weld(0, 1)]),
+        "`Weld.child` must be one of the 1 bodies, but it is 1",
+    ),
+    "held twice": (
+        lambda: jb.Assembly([BALL, BALL], 1.0, [Weld(0, 1), Weld(None, 1)]),
+        "`joints` must hold no body twice",
+    ),
+    "a loop": (
+        lambda: jb.Assembly([BALL, BALL], 1.0, [Weld(0, 1), Weld(1, 0)]),
+        "`joints` must make no loop",
+    ),
+    "forces of another number": (
+        lambda: jb.Assembly([BALL], 1.0, force=[[1.0, 0.0, 0.0]] * 2),
+        "`force` must have shape (1, 3)",
+    ),
+    "no viscosity": (lambda: jb.Assembly([BALL], 0.0), "`viscosity` must be positive"),
+    "a pose of others": (
+        lambda: motion(0.0, jb.Pose(jnp.zeros((2, 3)), jnp.ones((1, 4))), jb.Assembly([BALL], 1.0)),
+        "`pose.place` must have shape (1, 3)",
+    ),
+    "directors": (
+        lambda: jb.Assembly([BALL], 1.0, forces=[jb.force.JointBending(1.0)]),
+        "`forces` must be made of terms that read positions alone, not of JointBending",
+    ),
+}
+
+
+@pytest.mark.parametrize("call, says", BAD.values(), ids=BAD)
+def test_bad_input_is_refused(call, says):
+    with pytest.raises(ValueError) as caught:
+        call()
+    assert str(caught.value).startswith("Argument `") and says in str(caught.value)
+
+
+def test_files_of_points(tmp_path):
+    path = tmp_path / "body.txt"
+    path.write_text("0, 0, 0, 1\n# a comment\n\n3\t0 0 2.5  # and one more\n")
+    body = jb.body.read_points(path)
+    assert np.array_equal(body.position, [[0, 0, 0], [3, 0, 0]]) and np.array_equal(
+        body.radius, [1, 2.5]
+    )
+    path.write_text("0 0 0\n1 2\n")
+    with pytest.raises(ValueError, match=r"row 2 of .* holds 2"):
+        jb.body.read_points(path, radius=1.0)
+
+
+def test_a_left_handed_helix_is_a_mirror_image():
+    right, left = (resistance(helix(1.0, p, turns=2, thickness=0.2)) for p in (3.0, -3.0))
+    mirror = np.diag([1.0, 1.0, -1.0, -1.0, -1.0, 1.0])
+    assert np.allclose(left, mirror @ right @ mirror, atol=1e-12) and right[0, 3] < 0 < left[0, 3]
+
+
+def test_single_precision():
+    def single(tree):
+        return jax.tree.map(lambda x: x.astype(jnp.float32), tree)
+
+    assembly = bacterium()
+    expected = motion(0.0, assembly.drawn, assembly)
+    found = motion(jnp.float32(0.0), single(assembly.drawn), single(assembly))
+    assert {x.dtype for x in jax.tree.leaves(found)} == {jnp.dtype(jnp.float32)}
+    assert np.abs(found.velocity - expected.velocity).max() < 1e-4
+    assert np.abs(found.joint_torque - expected.joint_torque).max() < 0.3
