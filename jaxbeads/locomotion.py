@@ -89,7 +89,8 @@ class _Vectors(NamedTuple):
         kept = operator.kept()
         size = 6 * operator.configuration.beads
         if not isinstance(kept, PairTensor):
-            return jax.vmap(lambda unit: self.product(kept, unit))(jnp.eye(size, dtype=self.length.dtype))
+            units = jnp.eye(size, dtype=self.length.dtype)
+            return jax.vmap(lambda unit: self.product(kept, unit))(units)
         scale = jnp.where(jnp.arange(size) < size // 2, 1.0, self.length)
         return scale[:, None] * kept.matrix() * scale[None, :]
 

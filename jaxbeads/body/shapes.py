@@ -1,15 +1,19 @@
 """Shapes of bodies: each function returns a `Body`, and its numbers may be traced and differentiated."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Float
 
 from .._checks import fail, finite, known, non_zero, positive, shape, whole
+from .._functions import trial, value_of
 from .._typing import float_array
-from ..geometry import normals, unit
+from ..geometry import norm, normals, unit
 from .base import Body
 
 _ORIGIN, _ALONG_X = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0)
@@ -78,6 +82,9 @@ def shell(radius: Any, beads: int, centre: Any = _ORIGIN) -> Body:
     radius = _number("radius", radius)
     return ellipsoid(jnp.stack([radius] * 3), beads, centre=centre)
 
+
+_ROUNDS = 8
+"""Of Newton's method, for distances of beads along a curve: more than enough."""
 
 _LAYER = 0.64
 """How far from their centres, over their radius, a layer of touching beads has the surface of the body
@@ -200,6 +207,47 @@ def helix(
     hand = jnp.sign(pitch)
     local = [x, radius * jnp.cos(wave * x), hand * radius * jnp.sin(wave * x)]
     return Body(jnp.stack(local, axis=1) @ _axes(direction) + _vector("start", start)[None], a)
+
+
+def strand(curve: Callable[[Array], Any], beads: int, thickness: Any = 1.0) -> Body:
+    """Touching beads along any curve, from its point at 0 on: each at the distance 2a from the one
+    before.
+
+    **Arguments**: function of a number that returns a point, `(3,)` [length], along which the curve goes
+    on as the number grows; number of beads; a, their radius [length].
+
+    **Raises** `ValueError` for what is no such function.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxbeads as jb
+    >>> ring = jb.body.strand(lambda s: jnp.stack([jnp.cos(s), jnp.sin(s), 0.0 * s]), 6, thickness=0.5)
+    >>> print(ring.position[3].round(12))  # six equal chords of a circle
+    [-1.  0.  0.]
+    """
+    whole("beads", beads, 1)
+    a = _number("thickness", thickness)
+
+    def point(s: Array) -> Array:
+        return value_of("curve", "a number", curve, s, shapes=((3,),), dtype=a.dtype)
+
+    trial(point, jnp.zeros((), a.dtype))
+
+    def after(s: Array, _: None) -> tuple[Array, Array]:
+        """The next bead's number, by Newton's method from the tangent's."""
+        start = point(s)
+
+        def nearer(_: Any, end: Array) -> Array:
+            there, slope = jax.jvp(point, (end,), (jnp.ones_like(end),))
+            chord = there - start
+            return end - (chord @ chord - 4 * a**2) / (2 * chord @ slope)
+
+        speed = norm(jax.jvp(point, (s,), (jnp.ones_like(s),))[1])
+        end = lax.fori_loop(0, _ROUNDS, nearer, s + 2 * a / speed)
+        return end, point(end)
+
+    zero = jnp.zeros((), a.dtype)
+    rest = lax.scan(after, zero, None, length=beads - 1)[1]
+    return Body(jnp.concatenate([point(zero)[None], rest]), a)
 
 
 def read_points(path: str | Path, radius: Any = None) -> Body:
