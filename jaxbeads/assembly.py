@@ -154,6 +154,8 @@ class Assembly(eqx.Module):
             name = f"be made of terms that read positions alone, not of {type(force).__name__}"
             if force.oriented or force.framed(scene.chain):
                 fail("forces", name, "it needs directors or normals")
+            if force.begin(State(self.positions(self.frames(self.drawn))), scene) is not None:
+                fail("forces", name, "it owns numbers that change in time")
             force.check(scene.chain, _DIM)
         scene.domain.check(_DIM)
         if scene.flow is not None:

@@ -27,7 +27,6 @@ from .configuration import Configuration
 from .factors import cholesky, cholesky_solve
 from .flow.base import spin_and_strain, velocity_and_gradient
 from .mobility import RPY, AbstractMobility, Operator
-from .pairs import PairTensor
 from .state import Load, State, add_loads
 
 __all__ = ["BodyMotion", "motion", "rate", "resistance"]
@@ -79,20 +78,20 @@ class _Vectors(NamedTuple):
         force, torque = vector.reshape(2, 3, -1)
         return Load(force.T, self.length * torque.T)
 
-    def product(self, operator: Any, vector: Array) -> Array:
+    def product(self, operator: Operator, vector: Array) -> Array:
         """M f."""
         moved = operator.motion(self.load(vector))
         return self.of_motion(moved.velocity, moved.spin)
 
     def matrix(self, operator: Operator) -> Array:
         """M."""
-        kept = operator.kept()
+        tables = operator.mobility.tables(operator.configuration)
         size = 6 * operator.configuration.beads
-        if not isinstance(kept, PairTensor):
+        if tables is None:
             units = jnp.eye(size, dtype=self.length.dtype)
-            return jax.vmap(lambda unit: self.product(kept, unit))(units)
+            return jax.vmap(lambda unit: self.product(operator, unit))(units)
         scale = jnp.where(jnp.arange(size) < size // 2, 1.0, self.length)
-        return scale[:, None] * kept.matrix() * scale[None, :]
+        return scale[:, None] * tables.matrix() * scale[None, :]
 
 
 def _rigid(arm: Array, velocity: Array, spin: Array) -> tuple[Array, Array]:

@@ -195,7 +195,7 @@ for k, (name, symbol) in enumerate(zip(names, ("R", r"\lambda", r"\ell"), strict
     ax.plot(optimum[k] * factors, around[k], color="#31688e")
     ax.plot(optimum[k], -tries.loss[best], "*", color="#d62728", markersize=12)
     ax.axhline(usual, color="0.6", linestyle=":")
-    ax.set(xscale="log", xlabel=f"{name} ${symbol}/a$")
+    ax.set(xlabel=f"{name} ${symbol}/a$")
     if k == 0:
         ax.set_ylabel(r"$10^5\, \mu a^2 V/T$")
 plt.show()

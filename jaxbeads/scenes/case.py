@@ -165,7 +165,7 @@ class AssemblyCase(NamedTuple):
 @eqx.filter_jit
 def _residuals(assembly: Assembly, journey: Journey) -> Array:
     instants = journey.ts, journey.poses
-    return jax.lax.map(lambda now: bodies_at(*now, assembly).residual, instants)
+    return jax.lax.map(lambda now: bodies_at(now[0], now[1], assembly).residual, instants)
 
 
 @dataclass(frozen=True)
