@@ -82,8 +82,8 @@ class Assembly(eqx.Module):
     """Rigid bodies in a viscous fluid, each free, or joined to another one or to space.
 
     With M the mobility of all beads and K from motions of bodies to those of beads, a body resists by
-    K^T M^-1 K: it takes six numbers, less what joints take away, however many beads it has. Every number
-    in it is a leaf.
+    K^T M^-1 K: it takes six numbers, less what joints take away, however many beads it has. M is
+    kept and factorised as one matrix, of 6 rows for each bead. Every number in it is a leaf.
 
     **Arguments**
 

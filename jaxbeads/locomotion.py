@@ -81,7 +81,8 @@ class _Vectors(NamedTuple):
     def product(self, operator: Operator, vector: Array) -> Array:
         """M f."""
         moved = operator.motion(self.load(vector))
-        return self.of_motion(moved.velocity, moved.spin)
+        still = jnp.zeros_like(moved.velocity)
+        return self.of_motion(moved.velocity, still if moved.spin is None else moved.spin)
 
     def matrix(self, operator: Operator) -> Array:
         """M."""
