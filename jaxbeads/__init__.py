@@ -9,22 +9,28 @@ brackets. Examples take 64-bit numbers, `jax.config.update("jax_enable_x64", Tru
 from importlib import metadata as _metadata
 
 from . import actuation as actuation
+from . import body as body
 from . import constraint as constraint
 from . import dimensionless as dimensionless
 from . import dynamics as dynamics
 from . import flow as flow
 from . import force as force
 from . import geometry as geometry
+from . import locomotion as locomotion
 from . import magnetism as magnetism
 from . import material as material
 from . import mobility as mobility
 from . import objectives as objectives
 from . import observables as observables
 from . import pairs as pairs
+from . import quaternions as quaternions
 from . import scenes as scenes
 from . import solver as solver
 from . import stress as stress
 from . import tensors as tensors
+from .assembly import Assembly as Assembly
+from .assembly import Pose as Pose
+from .body import Body as Body
 from .breakdown import SimulationError as SimulationError
 from .cache import enable_cache as enable_cache
 from .chain import Chain as Chain
@@ -66,6 +72,8 @@ from .steady import SteadyState as SteadyState
 from .steady import steady_state as steady_state
 from .sweep import sweep as sweep
 from .tables import to_csv as to_csv
+from .travel import Journey as Journey
+from .travel import travel as travel
 from .vary import vary as vary
 
 try:

@@ -19,12 +19,14 @@ from .cache import enable_cache
 from .observables import curvature
 from .outcome import Outcome
 from .paraview import check_paraview, to_paraview
-from .scenes import MODELS, SCENES, AbstractModel, Case, ReadyMade, Value
+from .scenes import MODELS, SCENES, AbstractModel, AssemblyCase, Case, ReadyMade, Value
 from .solution import Solution
 from .solver import AB3, ESDIRK, AbstractSolver, Diffrax, Rosenbrock
 from .tables import to_csv
 
 _INTERRUPTED, _NO_READER = 128 + 2, 128 + 13  # as a shell reports SIGINT and SIGPIPE
+
+AnyCase = Case | AssemblyCase
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -117,7 +119,7 @@ def _solver(name: str, tolerance: float | None) -> AbstractSolver:
 
 
 def _write(
-    ready: ReadyMade, case: Case, solution: Solution, folder: Path, paraview: bool
+    ready: ReadyMade, case: AnyCase, solution: Solution, folder: Path, paraview: bool
 ) -> list[Path]:
     from . import plot
 
@@ -128,7 +130,7 @@ def _write(
     measured = measure(case, solution)
     table = {label.replace("$", ""): measured}
     written = [
-        folder / f"{ready.name}.h5",
+        folder / f"{ready.name}{case.kind}",
         to_csv(folder / f"{ready.name}_observable.csv", solution.ts, table),
     ]
     if paraview:
@@ -137,7 +139,8 @@ def _write(
         "shapes": plot.shapes(ready.shown(solution), chain, view=view),
         "observable": plot.observable(solution.ts, measured, label),
     }
-    bent = curvature(solution.states.position, chain) if chain.fibres[0] > 2 else np.zeros(1)
+    bends = isinstance(case, Case) and chain.fibres[0] > 2
+    bent = curvature(solution.states.position, chain) if bends else np.zeros(1)
     if np.max(np.abs(bent)) * float(chain.length[0]) > 1e-6:
         pictures["curvature"] = plot.kymograph(solution, chain)
     for name, figure in pictures.items():
@@ -177,7 +180,7 @@ def _run(ready: ReadyMade, arguments: argparse.Namespace) -> int:
                 f"Argument `--out` must be a folder that can be written, but {folder} is not: "
                 f"{error.strerror}."
             ) from None
-        options["file"] = folder / f"{ready.name}.h5"
+        options["file"] = folder / f"{ready.name}{case.kind}"
     solution = case.simulate(**options, progress=not arguments.quiet)
     if not arguments.quiet:
         print(solution.summary())

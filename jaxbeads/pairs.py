@@ -189,6 +189,19 @@ class PairTensor(eqx.Module):
         linear, angular = (self.tr, self.rr) if torque else (self.tt, self.rt)
         return Motion(_columns(linear), _columns(angular) if self.rr else None)
 
+    def matrix(self) -> Float[Array, "motions loads"]:
+        """One matrix: velocities, then spins, of all beads, component by component."""
+
+        def dense(entry: Signed | Array | None) -> Array:
+            if isinstance(entry, Signed):
+                return entry.sign * entry.field
+            return jnp.zeros_like(self.tt[0][0]) if entry is None else entry
+
+        rows = [*map(list, self.tt), *map(list, self.rt)]
+        for row, more in zip(rows, (*self.tr, *self.rr), strict=True):
+            row.extend(more)
+        return jnp.block([[dense(entry) for entry in row] for row in rows])
+
 
 def _columns(table: Table | SignedTable) -> Float[Array, "loads beads components"]:
     """Fields (from bead, to bead) of each component that loads, with all components that move."""

@@ -24,7 +24,7 @@
 #
 # Runs: weight, results, tables, pictures, flow, ParaView, units, tolerances, solvers, files, breakdowns.
 # Terms: held ends, forces, rigidities, heads, waves, flows, walls, contact, your own. Many runs: gradients,
-# batches, sweeps, optimisation, steady and periodic states.
+# batches, sweeps, optimisation, steady and periodic states. Rigid bodies and their motors.
 
 # %%
 import tempfile
@@ -743,3 +743,31 @@ print("V/(f L)", speed)
 shape = one.states.position - one.states.position.mean(axis=1, keepdims=True)
 assert abs(speed - jnp.linalg.norm(cycle.displacement) / chain.length[0]) < 1e-8
 assert np.abs(shape[-1] - shape[0] @ np.asarray(cycle.rotation)).max() < 1e-6
+
+# %% [markdown]
+# ## Rigid bodies
+#
+# ### How do I swim a bacterium, with a motor?
+#
+# Bodies are drawn in one frame, in which joints have their points and axes; an `Assembly` puts them into
+# a fluid, each free or joined to another one, or to space (`None`). `locomotion.motion` says how they
+# move at one instant, and what their joints bear; `travel` follows them. A `Hinge` with a `drive` is a
+# motor of given torque, a `Weld` to space holds a body, and a `Ball` with a `stiffness` is a hook. Your
+# own shapes: `jb.Body(points, radii)`, `jb.body.strand(curve, beads)`, `jb.body.read_points(file)`.
+
+# %%
+head = jb.body.sphere(3.0, centre=[-4.0, 0.0, 0.0])
+tail = jb.body.helix(radius=2.0, pitch=8.0, turns=1)
+motor = jb.body.Motor(0, 1, axis=[1.0, 0.0, 0.0], rate=1.0)
+bacterium = jb.Assembly([head, tail], viscosity=1.0, joints=[motor])
+moved = jb.locomotion.motion(0.0, bacterium.drawn, bacterium)
+spin = moved.spin[1]
+speed = moved.velocity[1] @ spin / jnp.linalg.norm(spin)  # the path is a helix about this axis
+journey = jb.travel(
+    bacterium, bacterium.drawn, np.linspace(0, 4 * np.pi, 9) / jnp.linalg.norm(spin)
+)
+way = journey.final.place[0] - bacterium.drawn.place[0]
+jaxbeads.plot.shapes(journey.solution(bacterium), bacterium.chain)
+print("motor's torque:", moved.joint_torque[0, 0], "speed:", speed)
+assert abs(jnp.linalg.norm(way) / (journey.ts[-1] * speed) - 1) < 1e-5  # over two turns of the tail
+assert jnp.abs(moved.load.force.sum(axis=0)).max() < 1e-12 * moved.joint_torque[0, 0]

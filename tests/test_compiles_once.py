@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from cases import bent
 
+import jaxbeads as jb
 from jaxbeads import Chain, Scene, Solution, State, objectives, observables, rollout, simulate
 from jaxbeads.constraint import Gears, clamped
 from jaxbeads.force import Bending, Weight
@@ -141,4 +142,22 @@ def test_an_objective(name, programs):
         run = Solution(jnp.asarray(ts), states, jnp.asarray(0), jnp.asarray(0))
         cases.append((run, scene))
     counts = made_by_each(programs, MEASURES[name], cases)
+    assert counts[1:] == [0, 0]
+
+
+def test_bodies(programs):
+    def call(number):
+        bodies = [
+            jb.body.sphere(2.0 + number, [-9.0, 0.0, 0.0]),
+            jb.body.rod(2, 1.0 + 0.1 * number),
+        ]
+        motor = jb.body.Motor(0, 1, axis=[1.0, 0.1 * number, 0.0], rate=1.0 + number)
+        assembly = jb.Assembly(bodies, 1.0 + number, [motor])
+        moved = jb.locomotion.motion(0.1 * number, assembly.drawn, assembly)
+        run = jb.travel(
+            assembly, assembly.drawn, [0.0, 1.0 + number], tolerance=1e-4 / (1 + number)
+        )
+        return moved, run
+
+    counts = made_by_each(programs, call, [(number,) for number in range(3)])
     assert counts[1:] == [0, 0]

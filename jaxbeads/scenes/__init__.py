@@ -4,12 +4,14 @@ Passive fibres: `jeffery`, `shear`, `settling`, `relaxation`; driven ones: `plan
 `helical_beating`, `follower_force`; in space: `whirling`, `helix_formation`, `follower_force_3d`;
 swimmers: `nematode`, `nematode_pair`, `spiral`, `three_sphere`; in a magnetic field: `magnetic_rod`,
 `magnetic_swimmer`; at a no-slip wall: `cilium`, `cilia_row`, `settling_wall`, `nematode_wall`; many
-fibres in space: `cloud`, `shear_suspension`. Each returns a `Case` (scene, state, times and how to
-step); `case.simulate()` runs it. A new one is a file here and a line below: the shell (`python -m
-jaxbeads`) and the tests of all scenes find its `ReadyMade`. `GEARS`, `JOINT` and `SPRING` are bead
-models that may be exchanged for one another.
+fibres in space: `cloud`, `shear_suspension`; rigid bodies: `rigid_helix`, `bacterium`. Each returns a
+`Case` (scene, state, times and how to step), of bodies an `AssemblyCase`; `case.simulate()` runs it.
+A new one is a file here and a line below: the shell (`python -m jaxbeads`) and the tests of all scenes
+find its `ReadyMade`. `GEARS`, `JOINT` and `SPRING` are bead models that may be exchanged for one
+another.
 """
 
+from .bacterium import *
 from .beating import *
 from .case import *
 from .cilium import *
@@ -21,6 +23,7 @@ from .magnetic import *
 from .models import *
 from .nematode import *
 from .relaxation import *
+from .rigid_helix import *
 from .settling import *
 from .shear import *
 from .spiral import *

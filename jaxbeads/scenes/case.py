@@ -1,9 +1,11 @@
 """What a ready-made scene consists of."""
 
 import dataclasses
+import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -13,19 +15,36 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from .._checks import fail
+from .._compat import CompileClock
+from ..assembly import Assembly, Pose
+from ..breakdown import Cause, SimulationError
 from ..chain import Chain, straight
 from ..coordinates import coordinates
 from ..dynamics import motion
 from ..geometry import best_rotation
 from ..linearise import linearise
+from ..locomotion import motion as bodies_at
+from ..outcome import Outcome
 from ..rollout import Solver, Tolerance, solver_for
 from ..scene import Scene
 from ..simulate import simulate
 from ..solution import Solution
 from ..solver import AbstractSolver
 from ..state import State
+from ..tables import to_csv
+from ..travel import Journey, travel
 
-__all__ = ["Case", "ReadyMade", "Value", "last_period", "lateral_modes", "modes", "whirl"]
+__all__ = [
+    "AssemblyCase",
+    "Case",
+    "ReadyMade",
+    "Value",
+    "last_period",
+    "lateral_modes",
+    "modes",
+    "whirl",
+]
 
 Value = float | Sequence[float] | bool | None
 """A result: a number, several, a yes or no, or none."""
@@ -54,6 +73,8 @@ class Case(NamedTuple):
     """Save times between two checks."""
     scales: Mapping[str, float] = MappingProxyType({})
     """What results are measured by, as rigidities and amplitudes, by name."""
+    kind: str = ".h5"
+    """Of the file that `simulate` writes."""
 
     def simulate(self, **options: Any) -> Solution:
         """Run it with `jaxbeads.simulate`; options as there (they replace the case's own)."""
@@ -84,11 +105,86 @@ class Case(NamedTuple):
         return meant
 
 
+class AssemblyCase(NamedTuple):
+    """Rigid bodies with their start: everything that `travel` needs. For pictures it is a scene, too.
+
+    >>> from jaxbeads import scenes
+    >>> case = scenes.rigid_helix(wavelength=4.0, length=4.0, thickness=0.2)
+    >>> print(case.scene.chain.beads, case.state.position.shape, len(case.ts), case.tolerance)
+    18 (18, 3) 41 1e-06
+    """
+
+    assembly: Assembly
+    pose: Pose
+    ts: np.ndarray
+    """Times to save at [time]."""
+    tolerance: float = 1e-6
+    """Largest error of a step over the longest body's length, and in radians."""
+    scales: Mapping[str, float] = MappingProxyType({})
+    """What results are measured by, by name."""
+    kind: str = ".csv"
+    """Of the file that `simulate` writes."""
+
+    @property
+    def scene(self) -> Scene:
+        """The beads, without what holds them together."""
+        return self.assembly.scene
+
+    @property
+    def state(self) -> State:
+        """The beads where they start."""
+        return self.assembly.state(self.pose)
+
+    def simulate(
+        self,
+        *,
+        solver: AbstractSolver | None = None,
+        tolerance: float | None = None,
+        file: str | Path | None = None,
+        progress: bool = True,
+    ) -> Solution:
+        """Run it with `jaxbeads.travel`: the beads over time.
+
+        **Arguments**: the one solver that there is (`Tsit5`) or `None`; tolerance, if not the case's; a
+        file of poses over time, see `to_csv`; `progress` is for cases of fibres.
+        """
+        if solver is not None and solver.name != "Tsit5":
+            fail("solver", "be Tsit5, by which bodies are moved", f"it is {solver.name}")
+        if solver is not None and solver.tolerance is not None:
+            tolerance = float(solver.tolerance)
+        begun, compiling = time.perf_counter(), CompileClock()
+        tolerance = self.tolerance if tolerance is None else tolerance
+        journey = travel(self.assembly, self.pose, self.ts, tolerance=tolerance)
+        if journey.code != Outcome.FINE:
+            reached = int(np.isfinite(np.asarray(journey.poses.turn)).all(axis=(1, 2)).sum()) - 1
+            last, sentence = float(journey.ts[reached]), Outcome(int(journey.code)).sentence
+            message = f"The run of the bodies broke down after t = {last:g}: {sentence}"
+            cause = Cause(int(journey.steps), last, None, "Assembly", message)
+            raise SimulationError(cause, journey.solution(self.assembly))
+        residual = jnp.zeros_like(journey.ts)
+        if self.assembly.unknowns:
+            residual = _residuals(self.assembly, journey)
+        if file is not None:
+            columns = {"place": journey.poses.place, "turn": journey.poses.turn}
+            there = {name: value for name, value in columns.items() if value.size}
+            to_csv(file, journey.ts, there)
+        solution = dataclasses.replace(journey.solution(self.assembly), residual=residual)
+        seconds = time.perf_counter() - begun, compiling.read()
+        return dataclasses.replace(solution, wall_s=seconds[0], compile_s=seconds[1])
+
+
+@eqx.filter_jit
+def _residuals(assembly: Assembly, journey: Journey) -> Array:
+    instants = journey.ts, journey.poses
+    return jax.lax.map(lambda now: bodies_at(now[0], now[1], assembly).residual, instants)
+
+
 @dataclass(frozen=True)
 class ReadyMade:
     """A scene as the shell and the tests of all scenes see it.
 
-    - `build`: function of the options that returns a `Case`; its defaults are the shell's.
+    - `build`: function of the options that returns a `Case` (of rigid bodies an `AssemblyCase`); its
+      defaults are the shell's.
     - `options`: name of each option and what it means.
     - `observables`: dimensionless results of a run, and `results`, what each of them means.
     - `plotted`: name of an observable over time, and the function of a solution that gives it.
@@ -108,11 +204,11 @@ class ReadyMade:
 
     name: str
     summary: str
-    build: Callable[..., Case]
+    build: Callable[..., Any]
     options: dict[str, str]
-    observables: Callable[[Case, Solution], dict[str, Value]]
+    observables: Callable[[Any, Solution], dict[str, Value]]
     results: dict[str, str]
-    plotted: tuple[str, Callable[[Case, Solution], Any]]
+    plotted: tuple[str, Callable[[Any, Solution], Any]]
     _: KW_ONLY
     quick: str
     stretch: float = 1.0

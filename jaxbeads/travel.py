@@ -1,0 +1,231 @@
+"""`travel`: the path of an `Assembly`, as a pure function; `Journey`: what it returns.
+
+Poses are integrated by Tsitouras' method (that of `diffrax.Tsit5`) in steps that a tolerance chooses;
+joints hold exactly, since a pose has no numbers in which they could fail. Derivatives, in both modes,
+are those of the steps that are taken (`loops`).
+"""
+
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float, Int
+
+from ._checks import fail, finite, increasing, kind, known, positive, shape, whole
+from ._typing import float_array, with_all_digits
+from .assembly import Assembly, Pose
+from .geometry import norm, unit
+from .locomotion import turning
+from .loops import linked, loop
+from .outcome import Outcome
+from .solution import Solution, name_number
+from .state import State
+
+__all__ = ["Journey", "travel"]
+
+_TABLEAU: Any = diffrax.Tsit5.tableau
+_ORDER = 5
+_STAGES = len(_TABLEAU.c) + 1
+# Of each stage, shares of the rates before it; the last stage is at the end of the step.
+_SHARES = np.zeros((_STAGES, _STAGES))
+for _k, _row in enumerate(_TABLEAU.a_lower):
+    _SHARES[_k + 1, : _k + 1] = _row
+_TIMES = np.concatenate([[0.0], _TABLEAU.c])
+
+
+class Journey(eqx.Module):
+    """Poses over time.
+
+    - `ts`: times, `(times,)`; `poses`: a `Pose` with a leading axis of times.
+    - `steps`: attempted steps; `code`: 0 when all went well (see `Outcome`).
+    - `step`: length of the next step [time], with which `travel` goes on as if it had not stopped.
+
+    >>> import jaxbeads as jb
+    >>> motor = jb.body.Motor(None, 0, axis=[0.0, 0.0, 1.0], rate=2.0)
+    >>> spun = jb.Assembly([jb.body.rod(2)], 1.0, joints=[motor])
+    >>> journey = jb.travel(spun, spun.drawn, [0.0, 0.5, 1.0])
+    >>> print(jb.quaternions.angles(journey.final.turn).round(4), journey.code)
+    [[0. 0. 2.]] 0
+    """
+
+    ts: Float[Array, " times"]
+    poses: Pose
+    steps: Int[Array, ""]
+    code: Int[Array, ""]
+    step: Float[Array, ""]
+
+    @property
+    def final(self) -> Pose:
+        """Pose at the last time."""
+        return jax.tree.map(lambda x: x[-1], self.poses)
+
+    def solution(self, assembly: Assembly) -> Solution:
+        """The beads over time, as for pictures (of `assembly.chain`), tables and files."""
+
+        def position(pose: Pose) -> Array:
+            return assembly.positions(assembly.frames(pose))
+
+        states = jax.vmap(lambda pose: State(position(pose)))(self.poses)
+        none, method = jnp.zeros_like(self.ts), name_number("Tsit5")
+        return Solution(self.ts, states, self.steps, self.code, None, none, method=method)
+
+
+def travel(
+    assembly: Assembly,
+    pose: Pose,
+    ts: Any,
+    *,
+    tolerance: Any = 1e-6,
+    step: Any = None,
+    max_steps: int = 100_000,
+) -> Journey:
+    """Poses at the times `ts`, from `pose` at `ts[0]`.
+
+    Pure: use it under `jax.jit`, `jax.vmap` and derivatives by anything numeric, in both modes. It
+    cannot raise while it runs: look at `code`.
+
+    **Arguments**
+
+    - `assembly`, `pose`: the bodies and where they start, as `assembly.drawn`.
+    - `ts`: increasing times [time], `(times,)`. Steps end there.
+    - `tolerance`: largest error of a step, as a fraction of the longest body's length and in radians.
+    - `step`: length of the first step [time]; by default one in which little moves.
+    - `max_steps`: the most steps between two times.
+
+    **Returns** a `Journey`. **Raises** `ValueError` for input that does not fit.
+
+    >>> import jax
+    >>> import jaxbeads as jb
+    >>> def fallen(force):
+    ...     ball = jb.Assembly([jb.body.sphere(1.0)], viscosity=1.0, force=[[0.0, 0.0, -force]])
+    ...     return jb.travel(ball, ball.drawn, [0.0, 2.0]).final.place[0, 2]
+    >>> print(f"{fallen(6.0):.4f}, {jax.grad(fallen)(6.0):.4f}")  # -F t/(6 pi mu a), and its derivative
+    -0.6366, -0.1061
+    """
+    kind("assembly", assembly, Assembly)
+    assembly.check_pose(pose)
+    increasing("ts", ts)
+    whole("max_steps", max_steps, 1)
+    ts = float_array(ts).astype(pose.turn.dtype)
+    tolerance = float_array(tolerance).astype(ts.dtype)
+    shape("tolerance", tolerance, ())
+    least = 100 * float(jnp.finfo(ts.dtype).eps)
+    if known(tolerance) and not least <= np.asarray(tolerance) <= 0.1:
+        must = f"lie between {least:.1g} (rounding) and 0.1"
+        fail("tolerance", must, f"it is {float(tolerance):g}", "How do I choose a tolerance?")
+    finite("pose.turn", pose.turn)
+    first = _first_step(ts[0], ts[1] - ts[0], pose, assembly) if step is None else step
+    step = float_array(first).astype(ts.dtype)
+    shape("step", step, ())
+    positive("step", step)
+    return _travel(assembly, pose, ts, tolerance, step, max_steps)
+
+
+class _Carry(eqx.Module):
+    """What goes from step to step."""
+
+    t: Array
+    step: Array
+    pose: Pose
+    code: Array
+
+
+def _size(assembly: Assembly) -> Array:
+    """Length of the longest body."""
+
+    def one(position: Array, radii: Array) -> Array:
+        return 2 * jnp.max(norm(position - jnp.mean(position, axis=0, keepdims=True)) + radii)
+
+    return jnp.max(jnp.stack([one(body.position, body.radii) for body in assembly.bodies]))
+
+
+def _amount(change: Pose, size: Array) -> Array:
+    """The largest part of a change of a pose: lengths over a size, turns in radians."""
+    moved = jnp.max(norm(change.place), initial=0.0) / size
+    return jnp.maximum(moved, 2 * jnp.max(norm(change.turn)))
+
+
+def _first_step(t: Array, gap: Array, pose: Pose, assembly: Assembly) -> Array:
+    """In which nothing moves by more than a hundredth."""
+    t, gap, pose, assembly = lax.stop_gradient((t, gap, pose, assembly))
+    speed = _amount(turning(t, pose, assembly), _size(assembly))
+    return jnp.where(speed > 0, 0.01 / jnp.where(speed > 0, speed, 1.0), gap)
+
+
+@with_all_digits
+@eqx.filter_jit
+def _travel(
+    assembly: Assembly, pose: Pose, ts: Array, tolerance: Array, step: Array, max_steps: int
+) -> Journey:
+    size, none = lax.stop_gradient(_size(assembly)), jnp.zeros((), int)
+    first = linked((pose, lax.stop_gradient(step), none, none), (assembly, pose, ts))
+
+    def interval(carry: Any, span: tuple[Array, Array]) -> tuple[Any, Pose]:
+        pose, step, steps, code = carry
+        t0, t1 = span
+        fixed = assembly, t1, tolerance, size
+        start = none, _Carry(t0, step, pose, code)
+        count, end = loop(_unfinished, _attempted, start, fixed, max_steps)
+        code = jnp.where((end.t < t1) & (end.code == 0), Outcome.TOO_MANY_STEPS, end.code)
+        pose = Pose(end.pose.place, unit(end.pose.turn))
+        pose = jax.tree.map(lambda x: jnp.where(code == Outcome.FINE, x, jnp.nan), pose)
+        return (pose, end.step, steps + count, code), pose
+
+    last, rest = lax.scan(interval, first, (ts[:-1], ts[1:]))
+    poses = jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), pose, rest)
+    return Journey(ts, poses, last[2], last[3], last[1])
+
+
+def _stepped(t: Array, h: Array, pose: Pose, assembly: Assembly) -> tuple[Pose, Pose]:
+    """A step of Tsitouras' method of order 5 (2011), and its error."""
+    start, whole = ravel_pytree(pose)
+
+    def stage(rates: Array, now: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+        index, shares, share = now
+        at = start + h * (shares @ rates)
+        rate = turning(t + share * h, whole(at), assembly)
+        return rates.at[index].set(ravel_pytree(rate)[0]), at
+
+    rates = jnp.zeros((_STAGES, len(start)), start.dtype)
+    shares, times = (jnp.asarray(x, start.dtype) for x in (_SHARES, _TIMES))
+    each = jnp.arange(_STAGES), shares, times
+    # A loop, so that the equations stand in the program once.
+    rates, places = lax.scan(stage, rates, each)
+    error = h * (jnp.asarray(_TABLEAU.b_error, start.dtype) @ rates)
+    return whole(places[-1]), whole(error)
+
+
+def _unfinished(now: Any, fixed: Any) -> Array:
+    _, carry = now
+    return (carry.t < fixed[1]) & (carry.code == Outcome.FINE)
+
+
+@with_all_digits
+def _attempted(now: Any, fixed: Any) -> Any:
+    """One step, kept or not."""
+    (count, carry), (assembly, t1, tolerance, size) = now, fixed
+    left = t1 - carry.t
+    last = carry.step >= left
+    h = jnp.where(last, left, carry.step)
+    pose, error = _stepped(carry.t, h, carry.pose, assembly)
+    wrong = lax.stop_gradient(_amount(error, size) / tolerance)
+    good = jnp.all(jnp.isfinite(pose.turn)) & jnp.all(jnp.isfinite(pose.place))
+    outside = assembly.scene.outside(State(assembly.positions(assembly.frames(pose))))
+    if outside is not None:
+        good = good & ~jnp.any(outside)
+    wrong = jnp.where(good & jnp.isfinite(wrong), wrong, jnp.inf)
+    keep = wrong <= 1
+    factor = jnp.clip(0.9 * jnp.maximum(wrong, 1e-10) ** (-1 / _ORDER), 0.2, 5.0)
+    # A step that was shortened to end at a time says little about how long the next one may be.
+    following = jnp.where(keep & last, jnp.maximum(carry.step, h * factor), h * factor)
+    following = lax.stop_gradient(following)
+    stuck = ~keep & (carry.t + following <= carry.t)
+    code = jnp.where(stuck, Outcome.GAVE_UP, carry.code)
+    new, old = (jnp.where(last, t1, carry.t + h), pose), (carry.t, carry.pose)
+    t, pose = jax.tree.map(lambda new, old: jnp.where(keep, new, old), new, old)
+    return count + 1, _Carry(t, following, pose, code)

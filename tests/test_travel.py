@@ -1,0 +1,157 @@
+"""Assemblies in time: exact paths, joints that hold, derivatives, restarts."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxbeads as jb
+from jaxbeads.body import Ball, Hinge, Motor, Weld, helix, rod, sphere
+from jaxbeads.locomotion import motion
+
+X = [1.0, 0.0, 0.0]
+
+
+def swimmer(viscosity=1.0, rate=1.0, pitch=7.0, **options):
+    """A small one: eight beads."""
+    bodies = [sphere(2.0, [-3.0, 0.0, 0.0]), helix(1.5, pitch, beads=7, thickness=0.8)]
+    return jb.Assembly(bodies, viscosity, [Motor(0, 1, axis=X, rate=rate)], **options)
+
+
+def turned(axis, angle):
+    """An assembly's drawn pose, all of it turned."""
+    first = jb.quaternions.about(axis, angle)
+    return jb.Pose([[1.0, -2.0, 3.0]], jnp.stack([first, jnp.array(jb.quaternions.IDENTITY)]))
+
+
+@pytest.mark.parametrize("start", [None, ([1.0, -2.0, 0.5], 2.5)], ids=["drawn", "turned"])
+def test_the_path_of_a_bacterium_is_a_helix(start):
+    # Nothing changes in the frame of the tail: V = U . Omega/|Omega| [derived], section 8: 0.170390.
+    bodies = [sphere(6.0, [-7.0, 0.0, 0.0]), helix(3.0, 14.0, turns=3)]
+    assembly = jb.Assembly(bodies, 1.0, [Motor(0, 1, axis=X)])
+    pose = assembly.drawn if start is None else turned(*start)
+    moved = motion(0.0, pose, assembly)
+    omega = np.linalg.norm(moved.spin[1])
+    along = np.asarray(moved.spin[1]) / omega
+    ts = 2 * np.pi / omega * np.arange(0, 31, 5)
+    journey = jb.travel(assembly, pose, ts)
+    assert journey.code == 0 and journey.steps < 800
+    # Whole turns of the tail in space: what is left of them is the way along its axis.
+    way = np.diff(np.asarray(journey.poses.place[:, 0]), axis=0)
+    speeds = way @ along / np.diff(ts)
+    assert np.abs(speeds - 0.170390).max() < 1e-5 * 0.170390
+    assert np.abs(way - (way @ along)[:, None] * along).max() < 1e-4
+    assert abs(speeds.mean() / (14 / (2 * np.pi)) - 0.076471) < 1e-5 * 0.076471
+    # The head's spin in space and the motor's about the axis are constant.
+    rotation = jax.vmap(jb.quaternions.matrix)(journey.poses.turn[:, 1])
+    assert np.abs(rotation[:, :, 0] - np.array([X])).max() < 1e-13  # the axis is held
+    for k in (1, 6):
+        later = motion(ts[k], jax.tree.map(lambda x, k=k: x[k], journey.poses), assembly)
+        power, first = (m.joint_torque[0] @ (m.spin[1] - m.spin[0]) for m in (later, moved))
+        assert abs(power - first) < 1e-8 * first
+        spins = (np.linalg.norm(m.spin, axis=1) for m in (later, moved))
+        assert np.abs(np.subtract(*spins)).max() < 1e-9
+
+
+def test_an_ellipse_in_shear_turns_by_jefferys_equation():
+    # The angle of a rigid rod follows tan = (a/b) tan(a b t/(a^2 + b^2)...), so half a period closes it.
+    assembly = jb.Assembly([rod(5)], 1.0, flow=jb.flow.Shear(1.0))
+    journey = jb.travel(assembly, assembly.drawn, [0.0, 29.971 / 2], tolerance=1e-8)
+    assert np.abs(np.abs(jb.quaternions.matrix(journey.final.turn[0])) - np.eye(3)).max() < 1e-3
+
+
+def test_joints_hold():
+    bodies = [rod(2, 1.0, [-3.0, 0.0, 0.0]), rod(2), rod(2, 1.0, [3.0, 0.0, 0.0])]
+    joints = [Ball(0, 1, [-1.5, 0.0, 0.0]), Hinge(1, 2, [1.5, 0.0, 0.0], [0.0, 1.0, 1.0])]
+    pull = [[0.0, 3.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, -2.0]]
+    assembly = jb.Assembly(bodies, 1.0, joints, force=pull)
+    journey = jb.travel(assembly, assembly.drawn, np.linspace(0.0, 60.0, 4))
+    axis = jnp.array([0.0, 1.0, 1.0]) / 2**0.5
+    assert journey.code == 0
+    for k in range(4):
+        frames = assembly.frames(jax.tree.map(lambda x, k=k: x[k], journey.poses))
+        for joint in joints:
+            ends = [frames.point(body, joint.point) for body in (joint.parent, joint.child)]
+            assert np.abs(ends[0] - ends[1]).max() < 1e-12
+        one, other = (frames.vector(body, axis) for body in (1, 2))
+        assert np.abs(one - other).max() < 1e-12
+    assert np.linalg.norm(jb.quaternions.angles(journey.final.turn[1])) > 0.3  # they did turn
+
+
+def test_a_hook_relaxes_exactly():
+    # Two far spheres on a hook about their own centres: angle' = -2 k angle/(8 pi mu a^3).
+    bodies = [sphere(1.0), sphere(1.0, [1e5, 0.0, 0.0])]
+    assembly = jb.Assembly(bodies, 1.0, [Weld(None, 0), Ball(None, 1, [1e5, 0.0, 0.0], 4 * np.pi)])
+    turn = jnp.stack(
+        [jnp.array(jb.quaternions.IDENTITY), jb.quaternions.about([1.0, 2.0, 2.0], 3.0)]
+    )
+    journey = jb.travel(assembly, jb.Pose(jnp.zeros((0, 3)), turn), [0.0, 1.0, 2.0], tolerance=1e-9)
+    found = jax.vmap(jb.quaternions.angles)(journey.poses.turn[:, 1])
+    expected = 3.0 * np.exp(-np.array([0.0, 0.5, 1.0]))[:, None] * np.array([[1.0, 2.0, 2.0]]) / 3
+    assert np.abs(found - expected).max() < 1e-7
+
+
+def test_going_on_is_the_same_path():
+    assembly, ts = swimmer(), np.linspace(0.0, 12.0, 5)
+    whole = jb.travel(assembly, assembly.drawn, ts)
+    first = jb.travel(assembly, assembly.drawn, ts[:3])
+    rest = jb.travel(assembly, first.final, ts[2:], step=first.step)
+    assert np.array_equal(rest.final.place, whole.final.place)
+    assert np.array_equal(rest.final.turn, whole.final.turn)
+    assert first.steps + rest.steps == whole.steps
+
+
+def test_bodies_as_beads_of_a_solution():
+    assembly = swimmer()
+    journey = jb.travel(assembly, assembly.drawn, np.linspace(0.0, 3.0, 4))
+    solution = journey.solution(assembly)
+    assert solution.states.position.shape == (4, 8, 3) and solution.solver == "Tsit5"
+    last = assembly.state(journey.final).position
+    assert np.abs(solution.final.position - last).max() < 1e-14
+    # Nothing bends.
+    tails = np.asarray(solution.states.position)[:, 1:]
+    apart = np.linalg.norm(tails[:, :, None] - tails[:, None, :], axis=3)
+    assert np.abs(apart - apart[0]).max() < 1e-13
+
+
+def end(numbers):
+    viscosity, rate, pitch, pull, angle, time = numbers
+    force = jnp.zeros((2, 3)).at[0, 0].set(pull)
+    assembly = swimmer(viscosity, rate, pitch, force=force)
+    pose = jb.Pose([[0.0, 0.0, 0.0]], turned([1.0, 2.0, 0.0], angle).turn)
+    ts = time * jnp.array([0.0, 0.5, 1.0])
+    final = jb.travel(assembly, pose, ts, tolerance=1e-11).final
+    return jnp.concatenate([final.place[0], final.turn[0]])
+
+
+@pytest.mark.slow
+def test_gradients_of_a_path():
+    x = jnp.array([1.2, 0.9, 7.0, 2.0, 0.4, 4.0])
+    value = jax.jit(end)
+    forward, reverse = jax.jit(jax.jacfwd(end))(x), jax.jit(jax.jacrev(end))(x)
+    assert np.abs(forward - reverse).max() < 1e-9 * np.abs(forward).max()
+    for k, unit in enumerate(np.eye(len(x))):
+        one, two = ((value(x + h * unit) - value(x - h * unit)) / (2 * h) for h in (1e-3, 2e-3))
+        difference = (4 * one - two) / 3
+        assert np.abs(forward[:, k] - difference).max() < 1e-6 * max(1.0, np.abs(difference).max())
+
+
+def test_many_paths_at_once():
+    def place(rate):
+        assembly = swimmer(rate=rate)
+        return jb.travel(assembly, assembly.drawn, [0.0, 1.0]).final.place[0]
+
+    rates = jnp.array([0.5, 1.0])
+    assert np.allclose(jax.vmap(place)(rates), [place(rate) for rate in rates], atol=1e-9)
+
+
+def test_what_goes_wrong_has_a_code():
+    assembly = swimmer()
+    short = jb.travel(assembly, assembly.drawn, [0.0, 100.0], max_steps=3)
+    assert short.code == jb.Outcome.TOO_MANY_STEPS and np.all(np.isnan(short.final.place))
+    wall = jb.NoSlipWall([0.0, 0.0, 0.0], [0.0, 0.0, 1.0])
+    ball = jb.Assembly([sphere(1.0, [0.0, 0.0, 1.2])], 1.0, force=[[0.0, 0.0, -1e3]], domain=wall)
+    through = jb.travel(ball, ball.drawn, [0.0, 100.0])
+    # Images keep the mobility positive, and so the bead above the wall.
+    assert through.code == jb.Outcome.FINE
+    assert 0 < ball.positions(ball.frames(through.final))[0, 2] < 1.2
