@@ -221,8 +221,8 @@ def strand(curve: Callable[[Array], Any], beads: int, thickness: Any = 1.0) -> B
     >>> import jax.numpy as jnp
     >>> import jaxbeads as jb
     >>> ring = jb.body.strand(lambda s: jnp.stack([jnp.cos(s), jnp.sin(s), 0.0 * s]), 6, thickness=0.5)
-    >>> print(ring.position[3].round(12))  # six equal chords of a circle
-    [-1.  0.  0.]
+    >>> print(ring.position[3, 0].round(12))  # six equal chords of a circle
+    -1.0
     """
     whole("beads", beads, 1)
     a = _number("thickness", thickness)
