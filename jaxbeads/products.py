@@ -23,7 +23,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .coefficients import factors, separate
 from .configuration import Configuration
 from .domain import AbstractHalfSpace, Unbounded
-from .pairs import CROSS, Radii, radii_of, separations
+from .pairs import CROSS, Radii, blocks_of, radii_of, separations
 from .shares import shared
 from .state import Load, Motion, spins
 from .tensors import as_motion, pushed, rpy_motion
@@ -146,19 +146,6 @@ def separate_sums(
     if force and rotational:
         spin = add(spin, cross, crossed(turn, force)[1])
     return velocity + spin, overlap
-
-
-def blocks_of(pieces: tuple[int, ...], most: int) -> np.ndarray:
-    """Numbers of the beads in blocks of so many within each piece, the last of a block repeated."""
-    blocks, first = [], 0
-    for size in pieces:
-        rows = -(-size // -(-size // most))
-        for start in range(first, first + size, rows):
-            block = np.arange(start, min(start + rows, first + size))
-            blocks.append(np.pad(block, (0, most - len(block)), mode="edge"))
-        first += size
-    rows = max(block[-1] - block[0] + 1 for block in blocks)
-    return np.stack(blocks)[:, :rows]
 
 
 def plain(configuration: Configuration) -> bool:

@@ -10,7 +10,7 @@ import pytest
 from cases import bent, jointed, scene
 
 import jaxbeads as jb
-from jaxbeads import Chain, Configuration, Load, Scene, Setting, dynamics, saddle, tensors
+from jaxbeads import Chain, Configuration, Load, Scene, Setting, dynamics, pairs, saddle, tensors
 from jaxbeads.constraint import (
     EqualSpins,
     Gears,
@@ -234,7 +234,11 @@ def test_constraints_that_contradict_one_another_do_not_converge():
     assert dynamics.redundancy(0.0, state, broken) is None  # it is not the constraints
 
 
-def test_contact_and_the_smallest_gap_in_blocks():
+@pytest.mark.parametrize("near", [None, 20, 2], ids=["all", "near", "crowded"])
+def test_contact_and_the_smallest_gap_in_blocks(near, monkeypatch):
+    if near:
+        monkeypatch.setattr(pairs, "LEAST", 100)
+        monkeypatch.setattr(pairs, "NEAR", near)
     chain = Chain(1.0, (200, 200))
     state = bent(chain, 3, centre=[[0.0, 0.0, 0.0], [0.5, 1.5, 0.3]])
     x = np.asarray(state.position)
@@ -247,6 +251,14 @@ def test_contact_and_the_smallest_gap_in_blocks():
     force = np.asarray(Contact(5.0, 2.5, 1.0).load(TIME, state, Setting(chain, 1.0)).force)
     assert np.abs(force).max() > 0.1
     assert np.abs(force - expected.sum(1)).max() < 1e-12 * np.abs(force).max()
+    if near:
+        setting = Setting(chain, 1.0)
+        shift = jnp.sin(jnp.arange(3 * 400.0)).reshape(400, 3)
+        contact = jax.jit(lambda x: Contact(5.0, 2.5, 1.0).load(TIME, jb.State(x), setting).force)
+        slope = jax.jvp(contact, (state.position,), (shift,))[1]
+        ahead, behind = (contact(state.position + h * shift) for h in (1e-6, -1e-6))
+        assert np.abs(slope - (ahead - behind) / 2e-6).max() < 1e-6 * np.abs(slope).max()
+        return
 
     apart = apart + 1e9 * np.eye(400)
     i, j = np.unravel_index(np.argmin(apart), apart.shape)

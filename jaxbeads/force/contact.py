@@ -9,7 +9,8 @@ from jaxtyping import Array, Bool, Float
 
 from .._checks import non_negative, positive, shape
 from .._typing import float_array
-from ..pairs import pair_sums, separations
+from ..domain import AbstractHalfSpace, Unbounded
+from ..pairs import near_sums, pair_sums, separations
 from ..setting import Setting
 from ..state import Load, State
 from .base import AbstractForce, repulsion
@@ -108,7 +109,12 @@ class Contact(AbstractForce):
             push = repulsion(distance - radii, self.roughness, self.decay) / distance
             return [jnp.where(skip, 0.0, push) * x for x in d]
 
-        force = jnp.stack(pair_sums(fields, beads), axis=1)
+        if isinstance(scene.domain, (Unbounded, AbstractHalfSpace)):
+            reach = 2 * jnp.max(chain.radii) + self.roughness
+            sums = near_sums(fields, beads, chain.fibres, reach)
+        else:
+            sums = pair_sums(fields, beads)
+        force = jnp.stack(sums, axis=1)
         gap = scene.domain.clearance(state.position, chain.radius)
         if gap is not None:
             # The way out is where the clearance grows.

@@ -16,6 +16,7 @@ from ..dimensionless import (
 )
 from ..flow import Shear
 from ..force import Bending, Contact, Weight
+from ..mobility import RPY
 from ..objectives import mean_over_time
 from ..observables import curvature, rigid_resistance, settling_velocity
 from ..scene import Scene
@@ -28,6 +29,8 @@ __all__ = ["CLOUD", "SHEAR_SUSPENSION", "cloud", "shear_suspension"]
 
 _TRIES = 1000
 """Directions that are tried for a fibre."""
+_MOBILITY = RPY(far_error=1e-6)
+"""What is measured has four digits."""
 
 
 def _start(
@@ -128,6 +131,7 @@ def cloud(
     scene = Scene(
         chain,
         viscosity,
+        _MOBILITY,
         constraints=[Gears()],
         forces=[
             Weight([0.0, -weight, 0.0]),
@@ -263,6 +267,7 @@ def shear_suspension(
     scene = Scene(
         chain,
         viscosity,
+        _MOBILITY,
         constraints=[Gears()],
         forces=[Bending(rigidity), Contact(push, 0.1 * radius, 0.1 * radius)],
         flow=Shear(shear_rate),
