@@ -118,7 +118,15 @@ def moved(
 
 
 class Strains(NamedTuple):
-    """How a rod is bent and twisted, and its frames."""
+    """How a rod is bent and twisted, and its frames; see `strains`.
+
+    >>> import jaxbeads as jb
+    >>> chain = jb.Chain(radius=1.0, fibres=3)
+    >>> state = jb.with_frames(jb.straight(chain, [1.0, 0.0, 0.0]), chain, twist=0.2)
+    >>> found = jb.material.strains(state, chain)
+    >>> print(isinstance(found, jb.material.Strains), found.curvature, found.twist.round(6))
+    True [[0. 0.]] [0.2 0.2]
+    """
 
     bond: Float[Array, "bonds 3"]
     """e; zero between fibres."""

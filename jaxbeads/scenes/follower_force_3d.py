@@ -60,7 +60,7 @@ def follower_force_3d(
     scene = Scene(chain, viscosity, mobility, [Gears(), *clamped()], forces)
     s = np.linspace(0, 1, beads - 1)
     e = np.stack([1 + 0 * s, perturbation * s**2, perturbation * flatness * s], axis=1)
-    position = from_tangents(chain, e)
+    position = np.asarray(from_tangents(chain, e))
     unit = 3 * np.pi * viscosity * length**4 / rigidity
     growth = max(abs(float(np.real(_growth(scene)))) * unit, 1.0)
     # As long as the slow exchange between the planes takes.

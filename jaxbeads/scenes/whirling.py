@@ -76,7 +76,7 @@ def whirling(
         fail("rate", f"be below {most:.3g}, where a bond twists by half a turn", f"it is {rate:g}")
     slope = perturbation * np.linspace(0, 1, beads - 1) ** 2
     e = np.stack([np.cos(slope), np.sin(slope), 0 * slope], axis=1)
-    position = from_tangents(chain, e)
+    position = np.asarray(from_tangents(chain, e))
     state = with_frames(State(position - position[0]), chain, [0.0, 0.0, 1.0], _twist(scene))
     unit = 3 * np.pi * viscosity * length**4 / rigidity
     growth = abs(float(np.real(_growth(scene)))) * unit
