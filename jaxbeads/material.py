@@ -296,7 +296,16 @@ def _carried_along(
 
 
 def check(state: State, chain: Chain) -> None:
-    """Refuse frames that do not fit the beads."""
+    """Refuse frames that do not fit the beads.
+
+    >>> import jaxbeads as jb
+    >>> state = jb.State([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]], frame=[[0.0, 1.0, 0.0], [0.0, 3.0, 0.0]])
+    >>> try:
+    ...     jb.material.check(state, jb.Chain(radius=1.0, fibres=2))
+    ... except ValueError as error:
+    ...     print(str(error)[:62])
+    Argument `state.frame` must hold unit vectors normal to the fi
+    """
     if state.frame is None:
         return
     frame = state.frame

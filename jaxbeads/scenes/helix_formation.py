@@ -41,8 +41,8 @@ def helix_formation(
 
     >>> from jaxbeads import scenes
     >>> rod = scenes.helix_formation(beads=6, curvature=2.4, twist=1.2).scene.forces[0]
-    >>> print(rod.intrinsic_curvature.round(6), rod.intrinsic_twist.round(6))  # over L = 12
-    0.2 0.1
+    >>> print(f"{rod.intrinsic_curvature:.4f} {rod.intrinsic_twist:.4f}")  # over L = 12
+    0.2000 0.1000
     """
     whole("beads", beads, 6)
     positive("curvature", curvature)

@@ -54,8 +54,8 @@ def whirling(
     >>> from jaxbeads import scenes
     >>> case = scenes.whirling(beads=5, rate=0.5)
     >>> roll = case.scene.constraints[-1]
-    >>> print(f"{roll.law * 4 * 3.14159265 * 8**2:.4f}")  # half of 8.8651 K_b/(xi_r L^2)
-    4.4326
+    >>> print(f"{roll.law * 4 * 3.14159265 * 8**2:.3f}")  # half of 8.8651 K_b/(xi_r L^2)
+    4.433
     """
     whole("beads", beads, 5)
     for name, value in {
