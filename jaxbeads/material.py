@@ -124,7 +124,7 @@ class Strains(NamedTuple):
     >>> chain = jb.Chain(radius=1.0, fibres=3)
     >>> state = jb.with_frames(jb.straight(chain, [1.0, 0.0, 0.0]), chain, twist=0.2)
     >>> found = jb.material.strains(state, chain)
-    >>> print(isinstance(found, jb.material.Strains), found.curvature, found.twist.round(6))
+    >>> print(isinstance(found, jb.material.Strains), found.curvature + 0.0, found.twist.round(6))
     True [[0. 0.]] [0.2 0.2]
     """
 
