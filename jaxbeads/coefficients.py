@@ -153,7 +153,7 @@ def separate(
 
     There rr1 is -tr/2, whatever the radii.
     """
-    square = sum(d * d for d in vector)
+    square = jnp.asarray(sum(d * d for d in vector))
     contact, least = 2.0, 1.0
     if isinstance(radii, tuple):
         contact = radii[0] + radii[1]
