@@ -159,7 +159,7 @@ def motion(configuration: Configuration, load: Load, error: float) -> Motion:
     **Arguments**: spheres (their images in boundaries are left out); loads; the error.
     """
     beads, pieces = configuration.beads, configuration.pieces or (configuration.beads,)
-    nodes = int(np.clip(np.ceil(11 + 2 * np.log10(1e-6 / error)), 8, 24))
+    nodes = int(np.clip(np.ceil(12 + 2 * np.log10(1e-6 / error)), 8, 24))
     enough = beads > 2 * ROOM[0] * BEADS and beads > 2 * nodes * len(pieces)
     if not enough or configuration.radius.ndim or not products.plain(configuration):
         return products.motion(configuration, load, single=error >= SINGLE)

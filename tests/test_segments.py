@@ -35,7 +35,7 @@ def error(moved, exact):
     return max(float(np.abs(a - b).max() / np.abs(b).max()) for a, b in pairs)
 
 
-def holds(spheres, wanted, nodes=11):
+def holds(spheres, wanted, nodes=12):
     """Whether segments do not leave it to all pairs."""
     made = segments._segments(spheres.pieces, nodes)
     return bool(segments._near(spheres.position, made, wanted)[1])
