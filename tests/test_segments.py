@@ -123,6 +123,7 @@ def test_errors_that_cannot_be_had_are_refused():
             RPY(far_error=wrong)
 
 
+@pytest.mark.slow
 def test_a_step_with_segments(small):
     # Iterations of a stage meet segments that are a little off.
     spheres, _ = cloud((50,) * 24, bend=0.2)
@@ -138,3 +139,14 @@ def test_a_step_with_segments(small):
         )
     moved = np.abs(ends[0] - state.position).max()
     assert moved > 1.0 and np.abs(ends[1] - ends[0]).max() < 1e-5 * moved
+
+
+@pytest.mark.parametrize("platform", ["cpu", "cuda", "tpu"])
+def test_programs_for_accelerators(small, platform):
+    spheres, load = cloud((50,) * 24)
+
+    def run(x):
+        return segments.motion(spheres.at(x), load, 1e-6)
+
+    exported = jax.export.export(jax.jit(run), platforms=[platform])(spheres.position)
+    assert exported.platforms == (platform,) and "callback" not in exported.mlir_module()
