@@ -113,7 +113,7 @@ def count(state: jb.State, scene: jb.Scene) -> jax.Array:
 
 @jax.jit
 def product(state: jb.State, scene: jb.Scene, load: jb.Load) -> jb.Motion:
-    return scene.operator(state).motion(load)
+    return scene.operator(state).product(load, exact=False)
 
 
 gradient = jax.jit(

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from . import products, tensors
+from . import tensors
 from .configuration import Configuration
 from .domain import NoSlipWall
 from .pairs import PairTensor, Signed, added, pair_sums, separations
@@ -215,7 +215,7 @@ def motion(configuration: Configuration, load: Load) -> Motion:
     """M F near a no-slip wall."""
     here = wall(configuration)
     load = here.slowed(load)
-    free = products.motion(here.configuration, load)
+    free = tensors.rpy_motion(here.configuration, load)
     return here.slowed(add_motions(free, here.motion(load)))
 
 

@@ -10,12 +10,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from . import products
 from .configuration import Configuration
 from .domain import AbstractHalfSpace
 from .pairs import Field, PairTensor, Radii, Signed, added, pair_sums, radii_of, separations
 from .state import Load, Motion, add_motions, spins
-from .tensors import as_motion, pushed, rpy, shear_disturbance, strained
+from .tensors import as_motion, pushed, rpy, rpy_motion, shear_disturbance, strained
 
 
 def mirror_of(configuration: Configuration) -> tuple[Array, Array]:
@@ -101,7 +100,7 @@ def _disturbance(
 
 def motion(configuration: Configuration, load: Load) -> Motion:
     """M F below or above a free surface."""
-    return add_motions(products.motion(configuration, load), _motion(configuration, load))
+    return add_motions(rpy_motion(configuration, load), _motion(configuration, load))
 
 
 def disturbance(

@@ -11,9 +11,8 @@ forces within a fibre, is summed in double precision.
 """
 
 from functools import reduce
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -153,17 +152,6 @@ def plain(configuration: Configuration) -> bool:
     return isinstance(configuration.domain, (Unbounded, AbstractHalfSpace))
 
 
-def motion(configuration: Configuration, load: Load, single: bool = False) -> Motion:
-    """M F.
-
-    **Arguments**: spheres (their images in boundaries are left out); loads; whether pairs that are no
-    neighbours along the chain are in single precision.
-    """
-    if configuration.beads < LEAST or not plain(configuration):
-        return rpy_motion(configuration, load)
-    return _motion(configuration, load, single)
-
-
 def block_sums(
     rows: Int[Array, " rows"], every: Beads, of: Beads, numbers: Int[Array, " of"], task: Task
 ) -> list[Array]:
@@ -199,9 +187,16 @@ def joined(found: list[Array], rows: np.ndarray, configuration: Configuration) -
     return as_motion([x.ravel()[first] / configuration.viscosity for x in found], configuration)
 
 
-@eqx.filter_custom_jvp
-def _motion(configuration: Configuration, load: Load, single: bool) -> Motion:
+def motion(configuration: Configuration, load: Load, single: bool = False) -> Motion:
+    """M F, in a form that is not for derivatives: their program would be five times as long as that of
+    `tensors.rpy_motion`.
+
+    **Arguments**: spheres (their images in boundaries are left out); loads; whether pairs that are no
+    neighbours along the chain are in single precision.
+    """
     beads = configuration.beads
+    if beads < LEAST or not plain(configuration):
+        return rpy_motion(configuration, load)
     pieces = configuration.pieces or (beads,)
     if min(pieces) < ROWS[0]:
         pieces, single = (beads,), False  # blocks of several pieces are too wide for that
@@ -213,10 +208,3 @@ def _motion(configuration: Configuration, load: Load, single: bool) -> Motion:
 
     found = shared(blocks, jnp.asarray(rows), beads * beads)
     return joined(found, rows, configuration)
-
-
-@_motion.def_jvp
-def _motion_jvp(primals: Any, tangents: Any) -> tuple[Motion, Motion]:
-    """Derivatives are those of the sum pair by pair, whose program is a fifth as long."""
-    moved = eqx.filter_jvp(rpy_motion, primals[:2], tangents[:2])[1]
-    return _motion(*primals), moved

@@ -14,7 +14,7 @@ from ._checks import fail
 from .constraint import AbstractChainConstraint, AbstractConstraint
 from .factors import cholesky, cholesky_solve, diagonal
 from .iterations import conjugate_gradients
-from .mobility import Product
+from .mobility import Operator, Product
 from .pairs import PairTensor
 from .scene import Scene
 from .state import Load, Motion, State, add_motions, zero_motion
@@ -222,7 +222,19 @@ class SaddlePoint(NamedTuple):
         def compliance(x: Array) -> Array:
             return self.constraints.compliance(self.operator, x)
 
-        return lax.custom_linear_solve(compliance, -slip, self.solver.solve, symmetric=True)
+        operator = self.operator
+        if not isinstance(operator, Operator):
+            solve = self.solver.solve
+            return lax.custom_linear_solve(compliance, -slip, solve, symmetric=True)
+        held = lax.stop_gradient(operator)
+
+        def product(x: Array) -> Array:
+            return self.constraints.linear(held.product(self.constraints.pull(x)))
+
+        def iterated(_: Compliance, rhs: Array) -> Array:
+            return self.solver.solve(product, rhs)
+
+        return lax.custom_linear_solve(compliance, -slip, iterated, symmetric=True)
 
     def pulled(self, multipliers: Array) -> Motion:
         """M J^T lambda."""

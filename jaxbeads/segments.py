@@ -11,9 +11,8 @@ Where a fibre bends so much that its beads are not where interpolation puts them
 near to one than there is room for, everything is summed bead by bead: slower, never wrong.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -34,7 +33,6 @@ from .products import (
 )
 from .shares import shared
 from .state import Load, Motion
-from .tensors import rpy_motion
 
 BEADS = 50
 """Beads of a segment, at most."""
@@ -152,7 +150,8 @@ def _sums(every: Beads, task: Task, segments: _Segments, near: Array) -> list[Ar
 
 
 def motion(configuration: Configuration, load: Load, error: float) -> Motion:
-    """M F with an error of the largest velocity, which pairs of beads far apart may have.
+    """M F with an error of the largest velocity, which pairs of beads far apart may have, in a form that
+    is not for derivatives.
 
     Where there are not enough beads, or fibres are short, they are summed by `products`.
 
@@ -163,12 +162,7 @@ def motion(configuration: Configuration, load: Load, error: float) -> Motion:
     enough = beads > 2 * ROOM[0] * BEADS and beads > 2 * nodes * len(pieces)
     if not enough or configuration.radius.ndim or not products.plain(configuration):
         return products.motion(configuration, load, single=error >= SINGLE)
-    return _motion(configuration, load, error, nodes)
-
-
-@eqx.filter_custom_jvp
-def _motion(configuration: Configuration, load: Load, error: float, nodes: int) -> Motion:
-    segments = _segments(configuration.pieces or (configuration.beads,), nodes)
+    segments = _segments(pieces, nodes)
     near, fine = _near(configuration.position, segments, error)
     every, task = beads_of(configuration, load, error >= SINGLE)
 
@@ -178,10 +172,3 @@ def _motion(configuration: Configuration, load: Load, error: float, nodes: int) 
     return lax.cond(
         fine, fast, lambda: products.motion(configuration, load, single=error >= SINGLE)
     )
-
-
-@_motion.def_jvp
-def _motion_jvp(primals: Any, tangents: Any) -> tuple[Motion, Motion]:
-    """Derivatives are those of the sum pair by pair."""
-    moved = eqx.filter_jvp(rpy_motion, primals[:2], tangents[:2])[1]
-    return _motion(*primals), moved

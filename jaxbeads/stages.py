@@ -75,15 +75,22 @@ def _load(t: Array, x: Array, multipliers: Array, chart: AbstractCoordinates, sc
     return add_loads(load, constraint_map(t, state, scene).pull(multipliers))
 
 
-def residual(stage: Stage, at: Unknowns, chart: AbstractCoordinates, scene: Scene) -> Unknowns:
-    """k - f and J V + B; one product with M."""
+def residual(
+    stage: Stage,
+    at: Unknowns,
+    chart: AbstractCoordinates,
+    scene: Scene,
+    differentiable: bool = True,
+) -> Unknowns:
+    """k - f and J V + B; one product with M, to the error that it allows unless it is differentiable."""
     t, x = stage.t, stage.base + stage.ahead * at.rate
     state = chart.state(x)
     load, ambient = _load(t, x, at.multipliers, chart, scene), ambient_motion(t, state, scene)
     if load.force is None and load.torque is None:
         motion = zero_motion(state, scene.rotational)
     else:
-        motion = scene.operator(state).motion(load)
+        operator = scene.operator(state)
+        motion = operator.motion(load) if differentiable else operator.product(load, exact=False)
     if ambient is not None:
         motion = add_motions(motion, ambient)
     rate = chart.rate(x, state, moving(state, motion, scene.chain, scene.own_rate(t, state)))
@@ -299,7 +306,7 @@ def _stage(
     scale, implicit = _scale(h, chart, guess.multipliers), stage.ahead != 0
 
     def step(numbers: Array) -> tuple[Array, Array]:
-        off = residual(stage, scale.parted(numbers), chart, scene)
+        off = residual(stage, scale.parted(numbers), chart, scene, differentiable=False)
         change = near.answer(off, implicit)
         size = jnp.max(jnp.abs(change.rate * scale.rate), initial=0.0)
         return scale.joined(change), size

@@ -53,7 +53,9 @@ def small(monkeypatch):
 def test_the_error_is_the_one_asked_for(wanted):
     spheres, load = cloud((100,) * 70, spacing=100.0)
     exact = jax.jit(products.motion)(spheres, load)
-    moved = jax.jit(RPY(dense=False, far_error=wanted).motion)(spheres, load)
+    moved = jax.jit(RPY(dense=False, far_error=wanted).product, static_argnums=2)(
+        spheres, load, False
+    )
     assert 1e-4 * wanted < error(moved, exact) < wanted
 
 
@@ -74,7 +76,7 @@ def test_segments_of_unequal_fibres(small, kind):
     for wanted in (1e-6, 1e-9):
         moved = segments.motion(spheres, load, wanted)
         off = np.abs(moved.velocity - exact.velocity).max() / np.abs(exact.velocity).max()
-        assert 1e-14 < off < wanted
+        assert off < wanted and (kind == "planar" or off > 1e-14)
 
 
 @pytest.mark.parametrize("why", ["crumpled", "crowded"])
@@ -93,18 +95,16 @@ def test_where_segments_do_not_hold_all_pairs_are_summed(small, why):
 
 def test_derivatives_are_those_of_the_exact_sum(small):
     spheres, load = cloud((50,) * 24)
-    shift = jnp.asarray(np.random.default_rng(1).normal(size=spheres.position.shape))
-
+    near, exact = RPY(dense=False, far_error=1e-6), RPY(dense=False)
+    assert error(near.product(spheres, load, exact=False), exact.motion(spheres, load)) > 1e-10
+    assert error(near.product(spheres, load), exact.motion(spheres, load)) < 1e-13
     some = jnp.asarray(np.random.default_rng(2).normal(size=spheres.position.shape))
 
-    def value(motion):
-        return lambda x: jnp.sum(some * motion(spheres.at(x), load).velocity)
+    def value(x, mobility):
+        return jnp.sum(some * mobility.motion(spheres.at(x), load).velocity)
 
-    found, exact = value(lambda c, f: segments.motion(c, f, 1e-6)), value(tensors.rpy_motion)
-    slopes = [jax.jvp(f, (spheres.position,), (shift,))[1] for f in (found, exact)]
-    assert abs(slopes[0] - slopes[1]) < 1e-11 * abs(slopes[1])
-    both = [jax.grad(f)(spheres.position) for f in (found, exact)]
-    assert np.abs(both[0] - both[1]).max() < 1e-11 * np.abs(both[1]).max()
+    one, other = (jax.grad(value)(spheres.position, m) for m in (near, exact))
+    assert np.array_equal(one, other)
 
 
 def test_interpolation_is_exact_for_polynomials():

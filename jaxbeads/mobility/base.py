@@ -73,6 +73,12 @@ class AbstractMobility(eqx.Module):
     def motion(self, configuration: Configuration, load: Load) -> Motion:
         """M F, in the form that is differentiated; without spins unless they take part."""
 
+    def product(self, configuration: Configuration, load: Load, exact: bool = True) -> Motion:
+        """M F where it is not differentiated, within iterations: `motion`, unless it can be had faster,
+        and to an error that the mobility allows unless it is to be `exact`.
+        """
+        return self.motion(configuration, load)
+
     def disturbance(
         self, configuration: Configuration, strain_rate: Float[Array, "*beads dim dim"]
     ) -> Motion | None:
@@ -159,6 +165,10 @@ class Operator(eqx.Module):
     def motion(self, load: Load) -> Motion:
         """M F."""
         return self.mobility.motion(self.configuration, load)
+
+    def product(self, load: Load, exact: bool = True) -> Motion:
+        """M F, not to be differentiated."""
+        return self.mobility.product(self.configuration, load, exact)
 
     def disturbance(self, strain_rate: Float[Array, "*beads dim dim"]) -> Motion | None:
         """C : E."""

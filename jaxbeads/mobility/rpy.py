@@ -28,7 +28,7 @@ class _Form(NamedTuple):
     """Derivatives of M F by the positions, if they are found for pairs."""
 
 
-_FREE = _Form(products.motion, tensors.shear_disturbance, tensors.rpy, fields.unbounded)
+_FREE = _Form(tensors.rpy_motion, tensors.shear_disturbance, tensors.rpy, fields.unbounded)
 _FORMS: dict[type[AbstractDomain], _Form] = {
     Unbounded: _FREE,
     NoSlipWall: _Form(
@@ -61,9 +61,9 @@ class RPY(AbstractMobility):
       (to 1e-12), and memory grows like the number of beads; steps are those of `ESDIRK` or explicit,
       and steady states need the tables. By default up to 1000 beads.
     - `far_error`: error of the velocities, over the largest, that the influence of beads far away may
-      have in an unbounded fluid, where there are no tables; from 1e-6 on they are in single precision,
-      and from some 6000 beads in long fibres on their segments interact by a few beads
-      (`jaxbeads.segments`). Derivatives are those of the exact sums. 0: none but rounding.
+      have in the steps of `ESDIRK` in an unbounded fluid, where there are no tables; from 1e-6 on they
+      are in single precision, and from some 6000 beads in long fibres on their segments interact by a
+      few beads (`jaxbeads.segments`). Derivatives are those of the exact sums. 0: none but rounding.
     - `devices`: how many devices share the pairs of beads out among them, where it is not dense (0: all,
       of all processes). By default one does all. Results are the same to rounding.
 
@@ -106,11 +106,17 @@ class RPY(AbstractMobility):
 
     def motion(self, configuration: Configuration, load: Load) -> Motion:
         """M F, pair by pair."""
-        form = _form(configuration)
         with shared_out(self.devices):
-            if form is _FREE and self.far_error:
+            return _form(configuration).motion(configuration, load)
+
+    def product(self, configuration: Configuration, load: Load, exact: bool = True) -> Motion:
+        """M F by blocks of beads, to `far_error` unless it is to be exact."""
+        if _form(configuration) is not _FREE:
+            return self.motion(configuration, load)
+        with shared_out(self.devices):
+            if self.far_error and not exact:
                 return segments.motion(configuration, load, self.far_error)
-            return form.motion(configuration, load)
+            return products.motion(configuration, load)
 
     def disturbance(
         self, configuration: Configuration, strain_rate: Float[Array, "*beads dim dim"]
