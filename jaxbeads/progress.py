@@ -90,10 +90,6 @@ class Forecast(NamedTuple):
 
     Equal steps are counted. How many steps a controller will choose shows on the way alone (a fibre that
     has found its shape takes one in the time of a hundred before), and so the time of a hundred is told.
-
-    >>> from jaxbeads.progress import Forecast
-    >>> print(Forecast(1000, 2000, 1, 0.15).sentence(2**29))
-    1000 beads, 0.5 GiB of memory: 2000 steps of about 0.15 s each (as the velocities), 5.0 min in all
     """
 
     beads: int
@@ -143,12 +139,7 @@ class Forecast(NamedTuple):
 
 
 def span(seconds: float) -> str:
-    """A length of time for people, in two digits.
-
-    >>> from jaxbeads.progress import span
-    >>> print(span(0.012), "|", span(95.0), "|", span(9000.0))
-    0.012 s | 1.6 min | 2.5 h
-    """
+    """A length of time for people, in two digits."""
     for size, unit in ((86400.0, "days"), (3600.0, "h"), (60.0, "min")):
         if seconds >= 1.5 * size:
             seconds, name = seconds / size, unit

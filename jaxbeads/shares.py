@@ -30,13 +30,6 @@ def shared_out(devices: int | None) -> Iterator[None]:
     It holds while a function is traced, so who enters it must be told the number by what is static.
 
     **Raises** `ValueError` if there are not so many.
-
-    >>> import jax.numpy as jnp
-    >>> from jaxbeads.pairs import pair_sums
-    >>> from jaxbeads.shares import shared_out
-    >>> with shared_out(1):
-    ...     print(pair_sums(lambda to, of: [to[:, None] - of[None, :]], jnp.array([0.0, 1.0]))[0])
-    [-1.  1.]
     """
     token = _DEVICES.set(devices)
     try:
