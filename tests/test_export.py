@@ -301,7 +301,7 @@ def test_table_of_all_that_a_run_has(tmp_path, unchecked):
     # Normals, numbers that forces own, what is not finite; single precision stays single.
     normal = jnp.asarray([[[0.0, 1.0, 0.0]]] * 3, jnp.float32)
     position = jnp.asarray(np.arange(18.0).reshape(3, 2, 3), jnp.float32).at[2].set(jnp.nan)
-    blank = State(np.zeros((2, 3)), None, np.eye(3)[:1], (None, jnp.zeros(4)))
+    blank = State(np.zeros((2, 3)), None, np.eye(3)[:1], own=(None, jnp.zeros(4)))
     own = jnp.arange(12.0).reshape(3, 4)
     states = jax.tree.unflatten(jax.tree.structure(blank), [position, normal, own])
     error = jnp.array([0.0, 1e-9, jnp.nan])
