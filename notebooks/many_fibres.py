@@ -168,8 +168,8 @@ for name, measured, reference in zip(("xx", "yy", "xy"), dilute["moments"], alon
 # Now flexible ones, one length apart, which meet and bend.
 
 # %%
-dense = scenes.shear_suspension(FIBRES, BEADS)
-sheared = dense.simulate(progress=False, tolerance=1e-5)
+dense = scenes.shear_suspension(4, 6)
+sheared = dense.simulate(progress=False, tolerance=1e-4)
 found_in_shear = scenes.SHEAR_SUSPENSION.observables(dense, sheared)
 for name, of in (("stiff, 5 L apart", dilute), ("flexible, 1 L apart", found_in_shear)):
     moments = ", ".join(f"{x:.3f}" for x in of["moments"])
@@ -179,7 +179,8 @@ for name, of in (("stiff, 5 L apart", dilute), ("flexible, 1 L apart", found_in_
     )
 figure, axis = plt.subplots(figsize=(6.5, 3.2), layout="constrained")
 for name, case, run in (("stiff", stiff, orbits), ("flexible", dense, sheared)):
-    x = np.asarray(run.states.position).reshape(len(case.ts), -1, BEADS, 3)
+    x = np.asarray(run.states.position)
+    x = x.reshape(len(x), -1, case.scene.chain.fibres[0], 3)
     ends = x[:, :, -1] - x[:, :, 0]
     ends = ends / np.linalg.norm(ends, axis=2, keepdims=True)
     axis.plot(case.ts, (ends[..., 0] * ends[..., 1]).mean(axis=1), label=name)
