@@ -184,7 +184,8 @@ def near_sums(
     middle = jnp.mean(x, axis=1)
     wide = jnp.max(jnp.linalg.norm(x - middle[:, None], axis=2), axis=1)
     apart = jnp.linalg.norm(middle[:, None] - middle[None], axis=2)
-    near = apart <= wide[:, None] + wide[None] + lax.stop_gradient(reach)
+    # What is not a number is near to all, so that it is not overlooked.
+    near = ~(apart > wide[:, None] + wide[None] + lax.stop_gradient(reach))
     _, others = lax.top_k(near.astype(jnp.float32), room)
     real = jnp.take_along_axis(near, others, axis=1)[:, :, None] & jnp.asarray(there)[others]
 

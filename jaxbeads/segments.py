@@ -133,17 +133,16 @@ def _sums(every: Beads, task: Task, segments: _Segments, near: Array) -> list[Ar
 
     at = every.position[nodes]
     of = Beads(at.reshape(number * each, -1), None, jax.tree.map(handed, every.load))
-    count = max(1, products.ROWS[1] // each)  # segments at a time
-    groups = np.minimum(np.arange(-(-number // count) * count), number - 1).reshape(-1, count)
 
-    def far(some: Array) -> list[Array]:
-        apart = jnp.repeat(jnp.repeat(~near[some], each, axis=0), each, axis=1)
-        to = Beads(at[some].reshape(count * each, -1), None, Load())
-        return separate_sums(to, of, task, apart)[0]
+    def far(
+        k: Array,
+    ) -> list[Array]:  # one by one: positions are rounded from a bead of the segment
+        apart = jnp.broadcast_to(jnp.repeat(~near[k], each), (each, number * each))
+        return separate_sums(Beads(at[k], None, Load()), of, task, apart)[0]
 
     pairs = number * each * number * each
-    moved = shared(lambda some: lax.map(far, some), jnp.asarray(groups), pairs)
-    spread = [jnp.einsum("sbp,sp->sb", weights, v.reshape(-1, each)[:number]) for v in moved]
+    moved = shared(lambda some: lax.map(far, some), jnp.arange(number), pairs)
+    spread = [jnp.einsum("sbp,sp->sb", weights, v) for v in moved]
     pairs = rows.size * segments.room * rows.shape[1]
     together = shared(lambda some: lax.map(close, some), jnp.arange(number), pairs)
     return [a + b for a, b in zip(together, spread, strict=True)]

@@ -258,6 +258,12 @@ def test_contact_and_the_smallest_gap_in_blocks(near, monkeypatch):
         slope = jax.jvp(contact, (state.position,), (shift,))[1]
         ahead, behind = (contact(state.position + h * shift) for h in (1e-6, -1e-6))
         assert np.abs(slope - (ahead - behind) / 2e-6).max() < 1e-6 * np.abs(slope).max()
+        lost = state.position.at[7].set(jnp.nan)
+        with (
+            pytest.MonkeyPatch.context() as unchecked
+        ):  # a state refuses what is not finite, a run may meet it
+            unchecked.setattr(jb.state, "finite", lambda *_: None)
+            assert not np.isfinite(contact(lost)).all()
         return
 
     apart = apart + 1e9 * np.eye(400)

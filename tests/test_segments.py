@@ -150,3 +150,20 @@ def test_programs_for_accelerators(small, platform):
 
     exported = jax.export.export(jax.jit(run), platforms=[platform])(spheres.position)
     assert exported.platforms == (platform,) and "callback" not in exported.mlir_module()
+
+
+def test_single_precision_of_fibres_that_are_no_neighbours_in_memory(small):
+    # Two heaps of fibres far apart, by turns: positions are rounded from a bead of each segment.
+    one, load = cloud((50,) * 12)
+    both = np.asarray(one.position).reshape(12, 50, 3)
+    both = np.stack([both, both + 3e5], axis=1).reshape(-1, 3)
+    load = Load(
+        *(
+            jnp.repeat(x.reshape(12, 50, 3), 2, axis=0).reshape(-1, 3)
+            for x in (load.force, load.torque)
+        )
+    )
+    spheres = Configuration(jnp.asarray(both), 1.0, 1.0, True, Unbounded(), (50,) * 24)
+    assert holds(spheres, 1e-6)
+    exact = tensors.rpy_motion(spheres, load)
+    assert error(segments.motion(spheres, load, 1e-6), exact) < 1e-6
