@@ -188,8 +188,8 @@ def joined(found: list[Array], rows: np.ndarray, configuration: Configuration) -
 
 
 def motion(configuration: Configuration, load: Load, single: bool = False) -> Motion:
-    """M F, in a form that is not for derivatives: their program would be five times as long as that of
-    `tensors.rpy_motion`.
+    """M F, in a form that is not for derivatives: their program would take several times as long to
+    compile as that of `tensors.rpy_motion`.
 
     **Arguments**: spheres (their images in boundaries are left out); loads; whether pairs that are no
     neighbours along the chain are in single precision.

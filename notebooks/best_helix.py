@@ -127,7 +127,12 @@ checks.append(("... speed over torque / formula", -far.loss / -searched.fun, 1.0
 # %%
 names = ("radius", "pitch", "opening")
 starts = np.log([[2.0, 15.0, 4.0], [1.2, 8.0, 1.0], [5.0, 30.0, 8.0]])
-loss = lambda x: -speed(swimmer(tail(*(jnp.exp(x[name]) for name in names))))  # noqa: E731
+
+
+def loss(x):
+    return -speed(swimmer(tail(*(jnp.exp(x[name]) for name in names))))
+
+
 tries = jb.optimise(loss, dict(zip(names, starts.T, strict=True)), many=True, progress=False)
 ends = np.exp([tries.values[name] for name in names]).T
 for k, end in enumerate(ends):
