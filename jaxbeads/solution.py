@@ -52,6 +52,7 @@ class Solution(eqx.Module):
       `rollout`.
     - `wall_s`, `compile_s`: seconds in all, and of them for compiling (`simulate` only; from a file that
       was not closed, not a number).
+    - `poses`: of bodies, where they are at each time (`Journey`); `None` of fibres.
     - `status`: "finished", "stopped by `until`", "interrupted", "unfinished" or "broken down", see
       `Outcome`; `solver`: the name of the solver.
 
@@ -78,6 +79,7 @@ class Solution(eqx.Module):
     compile_s: Float[Array, ""] | None = eqx.field(converter=optional_float_array, default=None)
     ending: Int[Array, ""] | None = eqx.field(converter=_small_number, default=None)
     method: Int[Array, ""] | None = eqx.field(converter=_small_number, default=None)
+    poses: Any = None
 
     @property
     def final(self) -> State:

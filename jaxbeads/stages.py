@@ -13,6 +13,7 @@ iterations they take (`solver/esdirk.py`). Nothing is linearised as a whole, and
 within an iteration. Derivatives are those of the two equations at the solution.
 """
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -26,7 +27,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ._typing import with_all_digits
 from .coordinates import AbstractCoordinates
 from .factors import lu, triangular_solve
-from .instant import ambient_motion, applied_load, moving
+from .instant import ambient_motion, moving
 from .iterations import accelerated
 from .saddle import Iterations, constraint_map, iterations
 from .scene import Scene
@@ -66,10 +67,18 @@ class Found(NamedTuple):
     products: Int[Array, ""]
 
 
-def _load(t: Array, x: Array, multipliers: Array, chart: AbstractCoordinates, scene: Scene) -> Load:
-    """F + J^T lambda."""
+def _load(
+    t: Array,
+    x: Array,
+    multipliers: Array,
+    chart: AbstractCoordinates,
+    scene: Scene,
+    besides: tuple[int, ...] = (),
+) -> Load:
+    """F + J^T lambda, but for some forces."""
     state = chart.state(x)
-    load = applied_load(t, state, scene)
+    which = (k for k in range(len(scene.forces)) if k not in besides)
+    load = add_loads(*(scene.load_of(k, t, state) for k in which))
     if not scene.constraints:
         return load
     return add_loads(load, constraint_map(t, state, scene).pull(multipliers))
@@ -121,6 +130,10 @@ class Near(eqx.Module):
     system: Iterations | None
     inverse: Float[Array, "fibres size size"] | None
     """D^-1, in units of the coordinates."""
+    local: Float[Array, "beads dim dim"] | None
+    """Derivatives of forces between any beads (`AbstractForce.local`)."""
+    between: tuple[int, ...] = eqx.field(static=True)
+    """Which forces these are."""
 
     def answer(self, off: Unknowns, implicit: Array) -> Unknowns:
         """Change of the unknowns that takes away what the equations are off."""
@@ -183,8 +196,12 @@ class Near(eqx.Module):
         return self._rate(self.parts.motion(load, self._still))
 
     def _load(self, x: Array) -> Load:
-        """F + J^T lambda, with lambda held."""
-        return _load(self.t, x, self.multipliers, self.chart, self.scene)
+        """F + J^T lambda, with lambda held, as far as its derivatives are wanted."""
+        load = _load(self.t, x, self.multipliers, self.chart, self.scene, self.between)
+        if self.local is None:
+            return load
+        way = self.chart.state(x).position - self.state.position
+        return add_loads(load, Load(jnp.einsum("bij,bj->bi", self.local, way)))
 
     def _stiff(self, rate: Array) -> Motion:
         """g M' dF/dx k."""
@@ -225,33 +242,51 @@ def _numbers(chart: AbstractCoordinates) -> np.ndarray:
 @with_all_digits
 @eqx.filter_jit
 def near(
-    t: Array, x: Array, ahead: Array, chart: AbstractCoordinates, scene: Scene, guess: Array
+    t: Array,
+    x: Array,
+    ahead: Array,
+    chart: AbstractCoordinates,
+    scene: Scene,
+    guess: Array,
+    implicit: bool = True,
 ) -> Near:
     """What is solved instead of the stages of a step.
 
-    **Arguments**: time; coordinates about which; g; the chart; scene; multipliers there, about.
+    **Arguments**: time; coordinates about which; g; the chart; scene; multipliers there, about; whether
+    it is for implicit stages: of an explicit one D is not asked for, and D^-1 is 0 here.
     """
     state = chart.state(x)
     system = iterations(t, state, scene) if scene.constraints else None
     part = parts(state, scene.operator(state), scene.chain)
-    found = Near(t, x, state, chart, scene, ahead, guess, part, system, None)
-    columns = found.columns()
-    if columns is None:
-        return found
-    unit = jnp.eye(columns.shape[1], dtype=columns.dtype)
+    between = tuple(k for k, f in enumerate(scene.forces) if f.local(t, state, scene) is not None)
+    found = Near(t, x, state, chart, scene, ahead, guess, part, system, None, None, between)
 
-    def inverse(matrix: Array) -> Array:
-        factor, order = lu(unit - ahead * matrix)
+    def whole() -> Near:
+        each = [scene.forces[k].local(t, state, scene) for k in between]
+        local = sum(each[1:], each[0]) if each else None
+        stiff = dataclasses.replace(found, local=local)
+        columns = stiff.columns()
+        inverse = None if columns is None else lax.map(lambda w: _inverse(w, ahead), columns)
+        return dataclasses.replace(stiff, inverse=inverse)
 
-        def solve(rhs: Array) -> Array:
-            below = triangular_solve(factor, rhs[order], lower=True, unit=True)
-            return triangular_solve(factor, below, lower=False)
+    if implicit:
+        return whole()
+    shapes = eqx.filter_eval_shape(whole)
+    zeros = (jnp.zeros(x.shape, x.dtype) for x in jax.tree.leaves((shapes.local, shapes.inverse)))
+    local = next(zeros) if between else None
+    return dataclasses.replace(found, local=local, inverse=next(zeros, None))
 
-        return jax.vmap(solve, in_axes=1, out_axes=1)(unit)
 
-    return eqx.tree_at(
-        lambda n: n.inverse, found, lax.map(inverse, columns), is_leaf=lambda x: x is None
-    )
+def _inverse(matrix: Array, ahead: Array) -> Array:
+    """(1 - g W')^-1."""
+    unit = jnp.eye(len(matrix), dtype=matrix.dtype)
+    factor, order = lu(unit - ahead * matrix)
+
+    def solve(rhs: Array) -> Array:
+        below = triangular_solve(factor, rhs[order], lower=True, unit=True)
+        return triangular_solve(factor, below, lower=False)
+
+    return jax.vmap(solve, in_axes=1, out_axes=1)(unit)
 
 
 class _Scale(NamedTuple):

@@ -312,6 +312,26 @@ def test_spiral_swimmer():
     assert abs(mirrored["rotation"] / found["rotation"] + 1) < 1e-4
 
 
+def test_a_bacterium_with_a_flexible_tail():
+    # For a stiff tail all results differ from those of a rigid one by as much as it is flexible; it is
+    # at rest in the frame that turns with it.
+    small = {"head": 3.0, "radius": 2.0, "pitch": 8.0, "turns": 1.0}
+    found = []
+    for flexible in (0.0, 0.05, 0.1):
+        case = jb.scenes.bacterium(**small, flexible=flexible)
+        run = case.simulate()
+        found.append(list(jb.scenes.BACTERIUM.observables(case, run).values()))
+        if flexible:
+            tail = np.asarray(run.states.position)[[0, -2, -1], 1:]
+            apart = np.linalg.norm(tail[:, :, None] - tail[:, None], axis=3)
+            assert (
+                np.abs(apart[2] - apart[1]).max() < 1e-9 < 1e-3 < np.abs(apart[1] - apart[0]).max()
+            )
+    rigid, one, two = np.array(found)
+    assert np.all(np.abs(one / rigid - 1) < 0.01) and np.all(np.abs(one / rigid - 1) > 1e-5)
+    assert np.abs((two - rigid) / (one - rigid) - 2).max() < 0.1
+
+
 def test_three_spheres():
     # [derived] RPY over the law for distant spheres, at a/D = 0.01 and a stroke of 0.01 D.
     close(

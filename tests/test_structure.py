@@ -18,7 +18,7 @@ ORDER = [
     {"_typing", "_checks", "loops", "programs", "outcome"},
     {"_functions", "domain"},
     {"factors", "units", "optimum"},
-    {"iterations"},
+    {"iterations", "rodas"},
     {"storage"},
     {"vary", "optimise", "chunks", "cache", "contents", "shares"},
     {"state", "geometry"},
