@@ -239,7 +239,7 @@ for name, sign in (("speed", 1), ("rotation", -1), ("shape_rotation", -1)):
 # %% [markdown]
 # There is no published number for this swimmer, so the checks are of symmetry: the material must turn
 # once a period in a shape that keeps, and the mirror image must swim alike and turn the other way.
-# TREND
+# (`tests/test_scenes.py` finds speed and turns from the shape alone, by minimal power.)
 
 # %%
 x = x[-1 - SAMPLES :] / 20.0
