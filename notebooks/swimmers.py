@@ -240,6 +240,8 @@ for name, sign in (("speed", 1), ("rotation", -1), ("shape_rotation", -1)):
 # There is no published number for this swimmer, so the checks are of symmetry: the material must turn
 # once a period in a shape that keeps, and the mirror image must swim alike and turn the other way.
 # (`tests/test_scenes.py` finds speed and turns from the shape alone, by minimal power.)
+# The faster the wave, the less of it the fluid lets through: the less bent shape goes around more and
+# the beads turn less. The distance swum in a period is largest at the third frequency.
 
 # %%
 x = x[-1 - SAMPLES :] / 20.0
