@@ -155,8 +155,8 @@ class Assembly(eqx.Module):
         scene = self.scene
         for force in self.forces:
             name = f"be made of terms that read positions alone, not of {type(force).__name__}"
-            if force.oriented or force.framed(scene.chain):
-                fail("forces", name, "it needs directors or normals")
+            if force.oriented or force.needs_frames:
+                fail("forces", name, "it needs directors or frames")
             if force.begin(State(self.positions(self.frames(self.drawn))), scene) is not None:
                 fail("forces", name, "it owns numbers that change in time")
             force.check(scene.chain, _DIM)

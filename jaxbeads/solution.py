@@ -119,9 +119,9 @@ class Solution(eqx.Module):
         `table.to_netcdf("run.nc")` a file that other programs read. A host function.
 
         **Argument** `chain`: gives each bead its fibre, radius and arclength as coordinates.
-        **Returns** an `xarray.Dataset`: `position` (time, bead, component), `director`, `normal`,
-        `frame` and what forces own (`own_0`, ...) where there are, `residual`, `bond_length_error`,
-        `steps`, `code` and seconds. Attributes of each variable say what it is (`long_name`) and its
+        **Returns** an `xarray.Dataset`: `position` (time, bead, component), `director`, `frame`
+        and what forces own (`own_0`, ...) where there are, `residual`, `bond_length_error`, `steps`,
+        `code` and seconds. Attributes of each variable say what it is (`long_name`) and its
         `dimension`, in units of the scene; those of the table have `status` and `solver`. **Raises**
         `ValueError` for a batch, for numbers that are traced, and for a chain of other beads.
         """

@@ -31,7 +31,7 @@ ORDER = [
     {"images", "mirror"},
     {"fields"},
     {"chain", "flow", "actuation", "dimensionless", "magnetism"},
-    {"frames", "material", "setting", "tables", "body"},
+    {"material", "setting", "tables", "body"},
     {"carried"},
     {"mobility", "constraint", "force", "coincidence"},
     {"scene"},

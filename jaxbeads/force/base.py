@@ -83,10 +83,6 @@ class AbstractForce(eqx.Module):
         """
         return None
 
-    def framed(self, chain: Chain) -> bool:
-        """Whether it acts along the normals of fibres in space, see `frames`."""
-        return False
-
     def explicit_step(self, scene: Setting) -> Float[Array, ""]:
         """Time step [time] that is safe for explicit solvers where this force is stiff: half of AB3's
         limit, 6/11 over the fastest rate, or less. Infinite unless a force knows better.
