@@ -14,12 +14,13 @@ from jaxtyping import Array, Float
 from . import quaternions
 from ._checks import fail, finite, kind, shape
 from ._functions import check_law, law_of, leaf_function
-from ._typing import float_array
+from ._typing import float_array, optional_float_array
 from .body import AbstractJoint, Body
 from .chain import Chain
 from .domain import AbstractDomain, Unbounded
 from .flow import AbstractFlow
 from .force import AbstractForce
+from .magnetism import AbstractMagneticField, check_magnets, optional_magnetic_field
 from .mobility import RPY, AbstractMobility
 from .scene import Scene
 from .state import State
@@ -100,6 +101,10 @@ class Assembly(eqx.Module):
     - `force`, `torque`: on each body, `(bodies, 3)` in space [force, force length], or a function of the
       time that returns them. Forces act at the mean of the beads' centres.
     - `domain`: the space that fluid and bodies are in; unbounded by default.
+    - `moment`, `susceptibility`: of each body, in its frame as drawn, the moment m, `(bodies, 3)` [force
+      length/field], and chi, by which a field magnetises it, symmetric, `(bodies, 3, 3)`; `field`: B of
+      `jaxbeads.magnetism`, at the means of their beads: torques m' x B, forces grad (m' . B), m' = m +
+      chi B. Bodies do not feel one another's moments.
 
     **Raises** `ValueError` for joints that make a loop or hold a body twice, and for terms that do not
     fit.
@@ -122,6 +127,13 @@ class Assembly(eqx.Module):
     force: Any = eqx.field(converter=_load, default=None)
     torque: Any = eqx.field(converter=_load, default=None)
     domain: AbstractDomain = eqx.field(default=Unbounded(), kw_only=True)
+    moment: Array | None = eqx.field(converter=optional_float_array, default=None, kw_only=True)
+    susceptibility: Array | None = eqx.field(
+        converter=optional_float_array, default=None, kw_only=True
+    )
+    field: AbstractMagneticField | None = eqx.field(
+        converter=optional_magnetic_field, default=None, kw_only=True
+    )
 
     def __check_init__(self) -> None:
         for name, wanted in {"bodies": Body, "joints": AbstractJoint}.items():
@@ -149,6 +161,7 @@ class Assembly(eqx.Module):
             elif value is not None:
                 shape(name, value, (len(self.bodies), 3))
                 finite(name, value)
+        check_magnets(len(self.bodies), self.moment, self.susceptibility, self.field)
         self._check_terms()
 
     def _check_terms(self) -> None:

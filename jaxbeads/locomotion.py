@@ -27,6 +27,7 @@ from .body import Body
 from .configuration import Configuration
 from .factors import cholesky, cholesky_solve
 from .flow.base import spin_and_strain, velocity_and_gradient
+from .magnetism import body_load
 from .mobility import RPY, AbstractMobility, Operator
 from .state import Load, State, add_loads
 
@@ -233,11 +234,14 @@ class _Outer(NamedTuple):
     torque: Array | None
 
 
-def _outer(t: Array, assembly: Assembly, position: Array, dtype: Any) -> _Outer:
+def _outer(t: Array, assembly: Assembly, position: Array, frames: Frames) -> _Outer:
     scene, state = assembly.scene, State(position)
     loads = [force.load(t, state, scene) for force in assembly.forces]
-    given = (assembly.given(name, t, dtype) for name in ("force", "torque"))
-    return _Outer(add_loads(*loads), *given)
+    given = (assembly.given(name, t, position.dtype) for name in ("force", "torque"))
+    magnets = assembly.moment, assembly.susceptibility, assembly.field
+    pulled = body_load(t, _middles(assembly, position), frames.rotation, *magnets)
+    on_bodies = add_loads(Load(*given), pulled)
+    return _Outer(add_loads(*loads), on_bodies.force, on_bodies.torque)
 
 
 def _solved(
@@ -251,7 +255,7 @@ def _solved(
     length = lax.stop_gradient(jnp.max(configuration.radius))
     vectors, dtype = _Vectors(length), position.dtype
     arm = position - frames.origin[assembly.body_of_bead]
-    outer = _outer(t, assembly, position, dtype)
+    outer = _outer(t, assembly, position, frames)
 
     def moved(unknown: Array) -> tuple[Array, Twists]:
         """Of beads and bodies; spins and rates of turning are multiplied by the length."""
