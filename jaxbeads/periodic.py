@@ -9,10 +9,11 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
+from . import carried
 from ._checks import fail, known, positive, said, whole
 from ._typing import with_all_digits
 from .geometry import best_rotation
-from .instant import Time
+from .instant import Time, rate
 from .rollout import Solver, rollout, solver_for
 from .scene import Scene, check
 from .solver import AbstractSolver
@@ -151,6 +152,8 @@ def periodic_state(
     if turning and not moving:
         fail("turning", "be False for a shape that does not move", "it is True")
     ts = jnp.stack([jnp.asarray(t, float), jnp.asarray(t, float) + period])
+    if turning and known((scene, state, ts)):
+        _refuse_directions(ts, state, scene)
     equal = _equal_steps(scene, solver, substeps)
     problem = Problem(scene, ts, state)
     accurate = jnp.asarray(accuracy)
@@ -162,6 +165,37 @@ def periodic_state(
             "nearer, as the end of a `rollout` over a few periods, or loosen `accuracy`."
         )
     return found
+
+
+def _refuse_directions(ts: Array, state: State, scene: Scene) -> None:
+    """Refuse turns of the whole that make a difference."""
+    off = float(_difference(ts, state, scene))
+    if off > 1e4 * float(jnp.finfo(state.position.dtype).eps) ** (2 / 3):
+        how = "something sets a direction, as weight, a flow, a magnetic field or a clamp"
+        fail(
+            "turning",
+            f"be False where a turn of the whole makes a difference ({how})",
+            "it is True",
+        )
+
+
+@with_all_digits
+@eqx.filter_jit
+def _difference(ts: Array, state: State, scene: Scene) -> Array:
+    """How far the rates of a turned state are from turned rates, relative, at some times."""
+
+    def one(t: Array, matrix: Array) -> tuple[Array, Array]:
+        turning = carried.turned(state, matrix)
+        found, change = jax.jvp(lambda s: rate(t, s, scene), (state,), (turning,))
+        same = carried.turned(found, matrix).position
+        size = jnp.max(jnp.abs(change.position)) + jnp.max(jnp.abs(same))
+        return jnp.max(jnp.abs(change.position - same)), size
+
+    times = ts[0] + jnp.array([0.0, 0.14, 0.43, 0.81], ts.dtype) * (ts[1] - ts[0])
+    matrices = jnp.asarray(generators(state.position.shape[1]), state.position.dtype)
+    off, size = jax.vmap(lambda t: jax.vmap(lambda w: one(t, w))(matrices))(times)
+    most = jnp.max(size)
+    return jnp.max(off) / jnp.where(most > 0, most, 1.0)
 
 
 def _equal_steps(scene: Scene, solver: Solver | None, substeps: int | None) -> AbstractSolver:

@@ -74,4 +74,5 @@ def factorised(jacobian: Float[Array, "n n"], h: Array, units: Float[Array, " n"
     unit of length.
     """
     scaled = jacobian * ((h * GAMMA / units)[:, None] * units[None, :])
-    return Factor(*lu(jnp.eye(len(units), dtype=jacobian.dtype) - scaled), units)
+    matrix, order = lu(jnp.eye(len(units), dtype=jacobian.dtype) - scaled)
+    return Factor(matrix, order, units)

@@ -262,8 +262,8 @@ def near(
     found = Near(t, x, state, chart, scene, ahead, guess, part, system, None, None, between)
 
     def whole() -> Near:
-        each = [scene.forces[k].local(t, state, scene) for k in between]
-        local = sum(each[1:], each[0]) if each else None
+        each = [jnp.asarray(scene.forces[k].local(t, state, scene)) for k in between]
+        local = jnp.sum(jnp.stack(each), axis=0) if each else None
         stiff = dataclasses.replace(found, local=local)
         columns = stiff.columns()
         inverse = None if columns is None else lax.map(lambda w: _inverse(w, ahead), columns)

@@ -231,7 +231,7 @@ checks.append(("... length / best", np.exp(other[2] - best[2]), 1.0, 1e-2))
 # The slopes against differences, away from the top. At the top the slopes must vanish for another
 # program, `periodic_state`, which steps through no transient, with twice as many steps; and the way must
 # fall to both sides along each number. With ten beads the tail is another one, less like a string of
-# pearls: it must gain as much, and a step of 0.3 in any number must not gain more than a few percent.
+# pearls: the profile must gain as much.
 
 # %%
 step = 1e-4
@@ -265,15 +265,10 @@ checks.append(("four times the steps: way / best", finer / best_way, 1.0, 1e-3))
 
 MORE = 10
 taper, level = (float(value(x, FIELD, beads=MORE)) for x in (best, plain))
-around = [
-    float(value(best + sign * u, FIELD, beads=MORE)) for u in 0.3 * np.eye(3) for sign in (1, -1)
-]
 print(
     f"{MORE} beads: profile over uniform {taper / level:.4f} ({BEADS} beads: {best_way / plain_way:.4f})"
 )
-print("around it:", np.round(np.array(around) / taper, 4))
 checks.append(("ten beads: gain / that of six", taper / level / (best_way / plain_way), 1.0, 1e-2))
-checks.append(("ten beads: largest way around / its own", max(around) / taper, 1.0, 3e-2))
 
 # %% [markdown]
 # ## What it does
@@ -334,7 +329,7 @@ plt.show()
 # In a strong field the best uniform tail is 19 % longer and twice as stiff. A tail that is stiff at the
 # head and soft at the free end, by a factor of 390, is 3.9 % faster than the best uniform one (4.2 % with
 # ten beads): most is gained by the right length and rigidity, little by the profile, and the top is flat.
-# With ten beads a longer or softer tail would gain 2 % more. A profile with a curvature has no optimum:
+# A profile with a curvature has no optimum:
 # it makes the free end limp.
 #
 # ## Check

@@ -26,6 +26,7 @@ from jaxbeads import (
     simulate,
     steady_state,
 )
+from jaxbeads.actuation import TravellingWave
 from jaxbeads.breakdown import Cause
 from jaxbeads.constraint import Gears
 from jaxbeads.files import DamagedFile
@@ -233,9 +234,8 @@ def test_errors_are_copied_whole(failure, way):
 def test_results_are_copied_whole(runs, way):
     scene = model()
     drifting = Scene(CHAIN, 1.0, constraints=[Gears()], forces=[Bending(4.0)])
-    swaying = Scene(
-        CHAIN, 1.0, constraints=[Gears()], forces=[Bending(4.0)], flow=OscillatingShear(0.1, 1.0)
-    )
+    wave = TravellingWave(amplitude=0.1, wavenumber=1.0, frequency=1.0)
+    swaying = Scene(CHAIN, 1.0, constraints=[Gears()], forces=[Bending(4.0, wave)])
     for held in (
         *runs.values(),
         scene,
@@ -344,9 +344,8 @@ def test_a_steady_state_prints_itself():
 
 
 def test_a_periodic_state_prints_itself():
-    swaying = Scene(
-        CHAIN, 1.0, constraints=[Gears()], forces=[Bending(4.0)], flow=OscillatingShear(0.1, 1.0)
-    )
+    wave = TravellingWave(amplitude=0.1, wavenumber=1.0, frequency=1.0)
+    swaying = Scene(CHAIN, 1.0, constraints=[Gears()], forces=[Bending(4.0, wave)])
     found = periodic_state(swaying, START, 1.0, substeps=20, accuracy=1e-4)
     first, *lines = str(found).splitlines()
     assert first == "PeriodicState: converged, 4 beads in 2-D, stable"
