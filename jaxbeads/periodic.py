@@ -171,7 +171,7 @@ def _refuse_directions(ts: Array, state: State, scene: Scene) -> None:
     """Refuse turns of the whole that make a difference."""
     off = float(_difference(ts, state, scene))
     if off > 1e4 * float(jnp.finfo(state.position.dtype).eps) ** (2 / 3):
-        how = "something sets a direction, as weight, a flow, a magnetic field or a clamp"
+        how = "something sets a direction, as weight, a flow or a magnetic field"
         fail(
             "turning",
             f"be False where a turn of the whole makes a difference ({how})",

@@ -175,7 +175,7 @@ def test_a_prescribed_direction_stays_where_it_is():
     assert np.abs(found.multipliers[:3] - 1).max() < 1e-3 and abs(found.multipliers[3]) < 0.9
 
 
-@pytest.mark.parametrize("what", ["field", "weight", "flow", "clamp"])
+@pytest.mark.parametrize("what", ["field", "weight", "flow"])
 def test_turns_that_make_a_difference_are_refused(what):
     # They were taken for free: the way of a swimmer in a magnetic field was a quarter too short.
     case = jb.scenes.magnetic_swimmer(beads=3)
@@ -185,7 +185,6 @@ def test_turns_that_make_a_difference_are_refused(what):
         terms = {
             "weight": {"forces": [jb.force.Weight([0.0, -1.0])]},
             "flow": {"flow": jb.flow.Shear(1.0)},
-            "clamp": {"constraints": [jb.constraint.Gears(), *jb.constraint.clamped()]},
         }
         bent = jb.State(jb.from_tangents(chain, [[1.0, 0.0], [1.0, 0.5]]))
         bending = jb.force.Bending(10.0, jb.actuation.TravellingWave(0.2, 1.0, 1.0))
