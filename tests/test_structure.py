@@ -39,7 +39,7 @@ ORDER = [
     {"coordinates", "saddle", "locomotion"},
     {"instant"},
     {"dynamics"},
-    {"loads"},
+    {"loads", "lengthwise"},
     {"linearise", "stages", "observables", "stress", "faults"},
     {"solver", "steady"},
     {"solution"},
