@@ -165,16 +165,16 @@ inverse_of_triangle.def_vmap(_stacks(inverse_of_triangle, lambda factor: factor.
 
 def inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
     """The inverse of a matrix whose rows and columns may have units of their own."""
-    column = 1 / jnp.max(jnp.abs(matrix), axis=0)
-    row = 1 / jnp.max(jnp.abs(matrix * column), axis=1)
-    factor, order = lu(row[:, None] * matrix * column)
+    column = 1 / jnp.max(jnp.abs(matrix), axis=0, keepdims=True)
+    row = 1 / jnp.max(jnp.abs(matrix * column), axis=1, keepdims=True)
+    factor, order = lu(row * matrix * column)
 
     def solve(rhs: Array) -> Array:
         below = triangular_solve(factor, rhs[order], lower=True, unit=True)
         return triangular_solve(factor, below, lower=False)
 
     unit = jnp.eye(len(matrix), dtype=matrix.dtype)
-    return column[:, None] * jax.vmap(solve, in_axes=1, out_axes=1)(unit) * row
+    return column.T * jax.vmap(solve, in_axes=1, out_axes=1)(unit) * row.T
 
 
 def cholesky_solve(factor: Float[Array, "n n"], rhs: Float[Array, " n"]) -> Float[Array, " n"]:

@@ -32,7 +32,7 @@ from .iterations import accelerated
 from .lengthwise import Lengthwise, Maps
 from .saddle import Iterations, constraint_map, iterations
 from .scene import Scene
-from .state import Load, Motion, State, add_loads, add_motions, zero_motion
+from .state import Load, Motion, add_loads, add_motions, zero_motion
 from .windows import Windows, parts
 
 _COLUMNS = 64
