@@ -111,9 +111,9 @@ def check_law(name: str, law: Callable[..., Any] | None, size: Shape, dtype: Any
 def curvature_of(
     name: str, function: Callable[..., Any], t: Array, arclength: Array, length: Array, dim: int
 ) -> Array:
-    """A curvature along fibres, `(joints,)`, in space also vectors, `(joints, 2)` or `(joints, 3)`."""
+    """A curvature along fibres, `(joints,)`, in space also vectors, `(joints, 3)`."""
     joints, dtype = len(arclength), arclength.dtype
-    vectors = ((joints, 2), (joints, 3)) if dim == 3 else ()
+    vectors = ((joints, 3),) if dim == 3 else ()
     given = jnp.asarray(t, dtype), arclength, length
     shapes = ((), (joints,), *vectors)
     value = value_of(name, f"{joints} joints", function, *given, shapes=shapes, dtype=dtype)
@@ -128,7 +128,7 @@ def along(name: str, value: Any, joints: int, dim: int, dtype: Any) -> None:
         t, s = jnp.zeros((), dtype), jnp.zeros(joints, dtype)
         trial(lambda t, s: curvature_of(name, value, t, s, s, dim), t, s)
     else:
-        vectors = ((joints, 2), (joints, 3)) if dim == 3 else ()
+        vectors = ((joints, 3),) if dim == 3 else ()
         shape(name, value, (), (joints,), *vectors)
 
 

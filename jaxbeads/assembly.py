@@ -1,22 +1,26 @@
 """`Assembly`: rigid bodies and joints in a viscous fluid; `Pose`: where they are."""
 
+import dataclasses
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Float
 
 from . import quaternions
 from ._checks import fail, finite, kind, shape
 from ._functions import check_law, law_of, leaf_function
-from ._typing import float_array
+from ._typing import float_array, optional_float_array
 from .body import AbstractJoint, Body
 from .chain import Chain
 from .domain import AbstractDomain, Unbounded
 from .flow import AbstractFlow
 from .force import AbstractForce
+from .magnetism import AbstractMagneticField, check_magnets, optional_magnetic_field
 from .mobility import RPY, AbstractMobility
 from .scene import Scene
 from .state import State
@@ -97,6 +101,10 @@ class Assembly(eqx.Module):
     - `force`, `torque`: on each body, `(bodies, 3)` in space [force, force length], or a function of the
       time that returns them. Forces act at the mean of the beads' centres.
     - `domain`: the space that fluid and bodies are in; unbounded by default.
+    - `moment`, `susceptibility`: of each body, in its frame as drawn, the moment m, `(bodies, 3)` [force
+      length/field], and chi, by which a field magnetises it, symmetric, `(bodies, 3, 3)`; `field`: B of
+      `jaxbeads.magnetism`, at the means of their beads: torques m' x B, forces grad (m' . B), m' = m +
+      chi B. Bodies do not feel one another's moments.
 
     **Raises** `ValueError` for joints that make a loop or hold a body twice, and for terms that do not
     fit.
@@ -119,6 +127,13 @@ class Assembly(eqx.Module):
     force: Any = eqx.field(converter=_load, default=None)
     torque: Any = eqx.field(converter=_load, default=None)
     domain: AbstractDomain = eqx.field(default=Unbounded(), kw_only=True)
+    moment: Array | None = eqx.field(converter=optional_float_array, default=None, kw_only=True)
+    susceptibility: Array | None = eqx.field(
+        converter=optional_float_array, default=None, kw_only=True
+    )
+    field: AbstractMagneticField | None = eqx.field(
+        converter=optional_magnetic_field, default=None, kw_only=True
+    )
 
     def __check_init__(self) -> None:
         for name, wanted in {"bodies": Body, "joints": AbstractJoint}.items():
@@ -146,14 +161,15 @@ class Assembly(eqx.Module):
             elif value is not None:
                 shape(name, value, (len(self.bodies), 3))
                 finite(name, value)
+        check_magnets(len(self.bodies), self.moment, self.susceptibility, self.field)
         self._check_terms()
 
     def _check_terms(self) -> None:
         scene = self.scene
         for force in self.forces:
             name = f"be made of terms that read positions alone, not of {type(force).__name__}"
-            if force.oriented or force.framed(scene.chain):
-                fail("forces", name, "it needs directors or normals")
+            if force.oriented or force.needs_frames:
+                fail("forces", name, "it needs directors or frames")
             if force.begin(State(self.positions(self.frames(self.drawn))), scene) is not None:
                 fail("forces", name, "it owns numbers that change in time")
             force.check(scene.chain, _DIM)
@@ -227,28 +243,29 @@ class Assembly(eqx.Module):
 
     def frames(self, pose: Pose) -> Frames:
         """Where the bodies are."""
-        origin: dict[int, Array] = {}
-        rotation: dict[int, Array] = {}
-        for body in self.order:
-            own = quaternions.matrix(pose.turn[body])
-            joint = self.joint_of(body)
-            if joint is None:
-                rotation[body], origin[body] = own, pose.place[self.free.index(body)]
-                continue
-            place, turned = joint.point, own
-            if joint.parent is not None:
-                held = rotation[joint.parent]
-                place, turned = origin[joint.parent] + held @ joint.point, held @ own
-            rotation[body], origin[body] = turned, place - turned @ joint.point
-        every = range(len(self.bodies))
-        return Frames(
-            jnp.stack([origin[k] for k in every]), jnp.stack([rotation[k] for k in every])
-        )
+        space, own = len(self.bodies), quaternions.matrix(pose.turn)
+        place = jnp.zeros_like(own[:, 0]).at[np.array(self.free, int)].set(pose.place)
+        order, dtype = np.array(self.order), own.dtype
+
+        def body(frames: Frames, row: tuple[Array, ...]) -> tuple[Frames, None]:
+            index, parent, point, place, own = row
+            held, rotation = frames.rotation[parent], frames.rotation[parent] @ own
+            origin = frames.origin[parent] + held @ point - rotation @ point + place
+            where = frames.origin.at[index].set(origin)
+            return Frames(where, frames.rotation.at[index].set(rotation)), None
+
+        # Space comes last. A loop, so that a body stands in the program once.
+        unmoved = jnp.tile(jnp.eye(3, dtype=dtype), (space + 1, 1, 1))
+        start = Frames(jnp.zeros((space + 1, 3), dtype), unmoved)
+        rows = (order, self.parents[order], self._points[order], place[order], own[order])
+        found, _ = lax.scan(body, start, jax.tree.map(jnp.asarray, rows))
+        return Frames(found.origin[:space], found.rotation[:space])
 
     def positions(self, frames: Frames) -> Float[Array, "beads 3"]:
         """Centres of all beads in space [length]."""
-        places = zip(self.bodies, *frames, strict=True)
-        return jnp.concatenate([x[None] + body.position @ r.T for body, x, r in places])
+        drawn = jnp.concatenate([body.position for body in self.bodies])
+        origin, rotation = (x[self.body_of_bead] for x in frames)
+        return origin + jnp.einsum("bij,bj->bi", rotation, drawn)
 
     def state(self, pose: Pose) -> State:
         """The beads of all bodies, as the state of `scene`.
@@ -269,44 +286,102 @@ class Assembly(eqx.Module):
         """Motions of bodies, affine in what is not prescribed: of a free body velocity and spin, of a
         joint its freedoms, in the order of the bodies.
         """
-        velocity: dict[int, Array] = {}
-        spin: dict[int, Array] = {}
-        for body, own in zip(self.order, self._shares(unknown), strict=True):
-            joint = self.joint_of(body)
-            if joint is None:
-                velocity[body], spin[body] = own[:3], own[3:]
-                continue
-            parent, at = joint.parent, frames.point(joint.parent, joint.point)
-            turning = frames.vector(parent, joint.spin(t, pose.turn[body], own))
-            moving = jnp.zeros_like(at)
-            if parent is not None:
-                moving = velocity[parent] + jnp.cross(spin[parent], at - frames.origin[parent])
-                turning = turning + spin[parent]
-            spin[body] = turning
-            velocity[body] = moving + jnp.cross(turning, frames.origin[body] - at)
-        every = range(len(self.bodies))
-        return Twists(jnp.stack([velocity[k] for k in every]), jnp.stack([spin[k] for k in every]))
+        moving, spin = self._own(t, pose, unknown)
+        spin = self.in_space(frames, spin)
+        # From the origin of each tree: far away nothing is lost.
+        at = self.joint_places(frames)
+        first = self.above[:, np.array(self.order)].argmax(axis=1)
+        root = at[np.array(self.order)[first]]
+        above = jnp.asarray(self.above, spin.dtype)
+        whole = above @ spin
+        arm = jnp.cross(whole, frames.origin - root) - above @ jnp.cross(spin, at - root)
+        return Twists(above @ moving + arm, whole)
 
-    def _shares(self, unknown: Array) -> list[Array]:
-        """What of it is each body's, in their order."""
+    def _own(self, t: Array, pose: Pose, unknown: Array) -> tuple[Array, Array]:
+        """Of each body the velocity of its origin, if it is free, and its spin against what it hangs on,
+        in the frame of that.
+        """
+        moving = spin = jnp.zeros((len(self.bodies), 3), pose.turn.dtype)
+        free, place = np.array(self.free, int), self._place
+        if len(free):
+            own = unknown[np.stack([place[k] + np.arange(6) for k in free])]
+            moving, spin = moving.at[free].set(own[:, :3]), spin.at[free].set(own[:, 3:])
+        for joints, child in self._alike:
+            own = unknown[np.stack([place[k] + np.arange(joints.freedoms) for k in child])]
+            turning = jax.vmap(lambda joint, turn, own: joint.spin(t, turn, own))
+            spin = spin.at[child].set(turning(joints, pose.turn[child], own))
+        return moving, spin
+
+    def joint_torques(self, t: Array, pose: Pose, frames: Frames) -> Float[Array, "bodies 3"]:
+        """Torque in space of each body's joint on it [force length]; 0 of a free body."""
+        torque = jnp.zeros((len(self.bodies), 3), pose.turn.dtype)
+        for joints, child in self._alike:
+            each = jax.vmap(lambda joint, turn: joint.torque(t, turn))(joints, pose.turn[child])
+            torque = torque.at[child].set(each)
+        return self.in_space(frames, torque)
+
+    def in_space(self, frames: Frames, vectors: Float[Array, "bodies 3"]) -> Array:
+        """Vectors in the frames of what each body hangs on, in space."""
+        space = jnp.eye(3, dtype=vectors.dtype)[None]
+        held = jnp.concatenate([frames.rotation, space])[self.parents]
+        return jnp.einsum("bij,bj->bi", held, vectors)
+
+    def joint_places(self, frames: Frames) -> Float[Array, "bodies 3"]:
+        """The point in space about which each body turns: that of its joint, or its origin."""
+        return frames.origin + jnp.einsum("bij,bj->bi", frames.rotation, self._points)
+
+    @property
+    def parents(self) -> np.ndarray:
+        """What each body hangs on, `(bodies,)`: a body, or their number, which is for space."""
+        joints = [self.joint_of(k) for k in range(len(self.bodies))]
+        held = (None if joint is None else joint.parent for joint in joints)
+        return np.array([len(self.bodies) if parent is None else parent for parent in held])
+
+    @property
+    def _points(self) -> Float[Array, "bodies 3"]:
+        """The point of each body's joint, in its frame; its origin if it is free."""
+        points = jnp.zeros((len(self.bodies), 3), self.viscosity.dtype)
+        if not self.joints:
+            return points
+        child = np.array([joint.child for joint in self.joints])
+        return points.at[child].set(jnp.stack([joint.point for joint in self.joints]))
+
+    @property
+    def above(self) -> np.ndarray:
+        """Whether a body is another, or hangs on it, `(bodies, bodies)`."""
+        found, parents = np.eye(len(self.bodies), dtype=bool), self.parents
+        for body in self.order:
+            if parents[body] < len(self.bodies):
+                found[body] |= found[parents[body]]
+        return found
+
+    @property
+    def _place(self) -> np.ndarray:
+        """Of each body the place of the first of its unknowns."""
         joints = [self.joint_of(body) for body in self.order]
         sizes = [6 if joint is None else joint.freedoms for joint in joints]
-        return jnp.split(unknown, np.cumsum(sizes)[:-1])
+        place = np.zeros(len(self.bodies), int)
+        place[np.array(self.order)] = np.cumsum([0, *sizes[:-1]])
+        return place
+
+    @property
+    def _alike(self) -> list[tuple[Any, np.ndarray]]:
+        """Joints of one kind side by side, so that they stand in a program once, and their children."""
+        groups: dict[Any, list[tuple[AbstractJoint, int]]] = {}
+        for joint in self.joints:
+            unplaced = dataclasses.replace(joint, parent=None, child=0)
+            leaves, tree = jax.tree.flatten(unplaced)
+            key = tree, tuple((jnp.shape(x), jnp.result_type(x)) for x in leaves)
+            groups.setdefault(key, []).append((unplaced, joint.child))
+        return [
+            (jax.tree.map(lambda *x: jnp.stack(x), *joints), np.array(children))
+            for joints, children in (zip(*group, strict=True) for group in groups.values())
+        ]
 
     def rate(self, t: Array, pose: Pose, unknown: Array) -> Pose:
         """Rate of change of a pose."""
-        place, turn = [], {}
-        for body, own in zip(self.order, self._shares(unknown), strict=True):
-            joint = self.joint_of(body)
-            if joint is None:
-                place.append(own[:3])
-                spin = own[3:]
-            else:
-                spin = joint.spin(t, pose.turn[body], own)
-            turn[body] = quaternions.rate(pose.turn[body], spin)
-        none = jnp.zeros((0, 3), pose.turn.dtype)
-        turns = jnp.stack([turn[k] for k in range(len(self.bodies))])
-        return Pose(jnp.stack(place) if place else none, turns)
+        moving, spin = self._own(t, pose, unknown)
+        return Pose(moving[np.array(self.free, int)], quaternions.rate(pose.turn, spin))
 
     def given(self, name: str, t: Array, dtype: Any) -> Array | None:
         """Forces or torques on bodies at a time; `None` if there are none."""

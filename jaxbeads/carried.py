@@ -2,7 +2,7 @@
 
 How a part changes in a motion, how the errors of time stepping are cleared from it, what its error is
 as a length, whether it turns with the whole. Solvers, coordinates and steady states ask here and know
-no part by name. A new part (a material frame, say) is a field of `State`, a class here and a line in
+no part by name. A new part is a field of `State`, a class here and a line in
 `PARTS`.
 """
 
@@ -18,7 +18,6 @@ from jaxtyping import Array, Float
 
 from . import material
 from .chain import Chain
-from .frames import normal_rate, upright
 from .geometry import norm, spin_cross
 from .state import Motion, State
 
@@ -107,22 +106,6 @@ class _Directors(AbstractPart):
         return value / norm(value)[:, None]
 
 
-class _Normals(AbstractPart):
-    name, words = "normal", "the normals"
-
-    def fibres(self, value: Any, chain: Chain) -> np.ndarray:
-        """A normal of each."""
-        return np.arange(len(chain.fibres)).repeat(value.shape[1])
-
-    def rate(self, value: Any, state: State, motion: Motion, chain: Chain) -> Array:
-        """Without spin about the fibre, see `frames`."""
-        return normal_rate(value, state.position, motion.velocity, chain)
-
-    def tidy(self, value: Any, state: State, chain: Chain) -> Array:
-        """Of length one and normal to the fibres."""
-        return upright(value, state.position, chain)
-
-
 class _Frames(AbstractPart):
     """As numbers: how far each is turned about the fibre from where the smallest rotations lead it."""
 
@@ -186,7 +169,7 @@ class _Own(AbstractPart):
         return arm * jnp.max(jnp.abs(ravel_pytree(error)[0]), initial=0.0)
 
 
-PARTS: tuple[AbstractPart, ...] = (_Directors(), _Normals(), _Frames(), _Own())
+PARTS: tuple[AbstractPart, ...] = (_Directors(), _Frames(), _Own())
 
 
 def parts(state: State, besides: tuple[str, ...] = ()) -> list[AbstractPart]:

@@ -122,7 +122,8 @@ class Chain(eqx.Module):
     def centres(self, position: Float[Array, "beads dim"]) -> Float[Array, "fibres dim"]:
         """Mean position of each fibre's beads."""
         member = self.fibre_of_bead == np.arange(len(self.fibres))[:, None]
-        return (member / member.sum(1, keepdims=True)) @ position
+        weights = jnp.asarray(member / member.sum(1, keepdims=True), position.dtype)
+        return weights @ position
 
 
 def check_bond(name: str, bond: int, chain: Chain) -> None:

@@ -1,8 +1,8 @@
 """Trajectory files: HDF5, written while running, from which a run continues bit for bit.
 
-Layout: `t` (times), `position` (times, beads, dim), `director`, `normal`, `frame`, `own_0` ... where
-there are, `residual`, `bond_length_error`; `ts` (all planned times); group `scene` (every number of the
-model and solver); `model` (the structure that these numbers belong to, as JSON, see `contents`); groups
+Layout: `t` (times), `position` (times, beads, dim), `director`, `frame`, `own_0` ... where there
+are, `residual`, `bond_length_error`; `ts` (all planned times); group `scene` (every number of the model
+and solver); `model` (the structure that these numbers belong to, as JSON, see `contents`); groups
 `checkpoint/0` and `checkpoint/1` (all that the next step depends on, written in turns); `mark` (which
 of the two is whole, how many states belong to it, steps so far), written last in one piece: what lies
 beyond it is the rest of an interrupted write; `seconds` (in all, and of them for compiling; not a

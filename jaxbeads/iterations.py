@@ -70,7 +70,7 @@ def conjugate_gradients(
     return Found(jnp.where(size <= enough, scale * x, jnp.nan), count)
 
 
-DEPTH = 5
+DEPTH = 12
 """Earlier iterations of which `accelerated` makes use."""
 MOST_ACCELERATED = 25
 """Iterations after which it gives up."""

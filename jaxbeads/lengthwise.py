@@ -58,6 +58,10 @@ class Maps(eqx.Module):
     scene: Scene
     multipliers: Float[Array, " rows"]
     parts: AbstractParts
+    between: tuple[int, ...] = eqx.field(static=True, default=())
+    """Forces between any beads, of which `local` alone is known."""
+    local: Float[Array, "beads dim dim"] | None = None
+    """Their derivatives by the bead's own place (`AbstractForce.local`)."""
 
     @property
     def still(self) -> Motion:
@@ -90,8 +94,15 @@ class Maps(eqx.Module):
         if `carried`.
         """
         state, scene = self.chart.state(x), self.scene
-        chosen = [k for k, f in enumerate(scene.forces) if not carried or f.internal or f.links]
+        chosen = [
+            k
+            for k, f in enumerate(scene.forces)
+            if k not in self.between and (not carried or f.internal or f.links)
+        ]
         loads = [scene.load_of(k, self.t, state) for k in chosen]
+        if self.local is not None and not carried:
+            way = state.position - self.state.position
+            loads.append(Load(jnp.einsum("bij,bj->bi", self.local, way)))
         if scene.constraints:
             loads.append(constraint_map(self.t, state, scene).pull(self.multipliers))
         return add_loads(*loads)

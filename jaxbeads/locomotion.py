@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
@@ -26,6 +27,7 @@ from .body import Body
 from .configuration import Configuration
 from .factors import cholesky, cholesky_solve
 from .flow.base import spin_and_strain, velocity_and_gradient
+from .magnetism import body_load
 from .mobility import RPY, AbstractMobility, Operator
 from .state import Load, State, add_loads
 
@@ -232,11 +234,14 @@ class _Outer(NamedTuple):
     torque: Array | None
 
 
-def _outer(t: Array, assembly: Assembly, position: Array, dtype: Any) -> _Outer:
+def _outer(t: Array, assembly: Assembly, position: Array, frames: Frames) -> _Outer:
     scene, state = assembly.scene, State(position)
     loads = [force.load(t, state, scene) for force in assembly.forces]
-    given = (assembly.given(name, t, dtype) for name in ("force", "torque"))
-    return _Outer(add_loads(*loads), *given)
+    given = (assembly.given(name, t, position.dtype) for name in ("force", "torque"))
+    magnets = assembly.moment, assembly.susceptibility, assembly.field
+    pulled = body_load(t, _middles(assembly, position), frames.rotation, *magnets)
+    on_bodies = add_loads(Load(*given), pulled)
+    return _Outer(add_loads(*loads), on_bodies.force, on_bodies.torque)
 
 
 def _solved(
@@ -250,7 +255,7 @@ def _solved(
     length = lax.stop_gradient(jnp.max(configuration.radius))
     vectors, dtype = _Vectors(length), position.dtype
     arm = position - frames.origin[assembly.body_of_bead]
-    outer = _outer(t, assembly, position, dtype)
+    outer = _outer(t, assembly, position, frames)
 
     def moved(unknown: Array) -> tuple[Array, Twists]:
         """Of beads and bodies; spins and rates of turning are multiplied by the length."""
@@ -274,11 +279,11 @@ def _solved(
 
 def _units(assembly: Assembly, length: Array) -> Array:
     """By what each unknown is multiplied to be a velocity."""
-    one, parts = jnp.ones(3, length.dtype), []
+    spins: list[bool] = []
     for body in assembly.order:
         joint = assembly.joint_of(body)
-        parts += [one, one * length] if joint is None else [jnp.full(joint.freedoms, length)]
-    return jnp.concatenate(parts)
+        spins += [False] * 3 + [True] * 3 if joint is None else [True] * joint.freedoms
+    return jnp.where(np.array(spins, bool), length, 1.0)
 
 
 def _powers(
@@ -298,53 +303,43 @@ def _powers(
         power = power + jnp.sum(there * outer.force[None], axis=(1, 2))
     if outer.torque is not None:
         power = power + jnp.sum(turned.spin * outer.torque[None], axis=(1, 2))
-    for joint in assembly.joints:
-        torque = frames.vector(joint.parent, joint.torque(t, pose.turn[joint.child]))
-        spin = turned.spin[:, joint.child]
-        if joint.parent is not None:
-            spin = spin - turned.spin[:, joint.parent]
-        power = power + spin @ torque
+    if assembly.joints:
+        bodies = len(assembly.bodies)
+        spin = jnp.pad(turned.spin, ((0, 0), (0, 1), (0, 0)))  # that of space, too
+        spin = spin[:, :bodies] - spin[:, assembly.parents]
+        torque = assembly.joint_torques(t, pose, frames)
+        power = power + jnp.sum(spin * torque[None], axis=(1, 2))
     return power
 
 
 def _borne(assembly: Assembly, frames: Frames, load: Load, outer: _Outer) -> tuple[Array, Array]:
     """Force and torque of each joint on its child: what all that hangs on it needs for its motion."""
     position = assembly.positions(frames)
+    if not assembly.joints:
+        none = jnp.zeros((0, 3), position.dtype)
+        return none, none
     needed = [load.force, load.torque]
     given = [outer.beads.force, outer.beads.torque]
     force, torque = (
         x if y is None else x - y for x, y in zip(needed, given, strict=True) if x is not None
     )
-    member = assembly.body_of_bead[None, :] == jnp.arange(len(assembly.bodies))[:, None]
-    member = member.astype(position.dtype)
-    middle = _middles(assembly, position)
-    forces, torques = [], []
-    for joint in assembly.joints:
-        at = frames.point(joint.parent, joint.point)
-        bodies = jnp.asarray(_hanging(assembly, joint.child), position.dtype)
-        beads = bodies @ member
-        arm = position - at[None]
-        push = beads @ force
-        twist = beads @ (torque + jnp.cross(arm, force))
-        if outer.force is not None:
-            push = push - bodies @ outer.force
-            twist = twist - bodies @ jnp.cross(middle - at[None], outer.force)
-        if outer.torque is not None:
-            twist = twist - bodies @ outer.torque
-        forces.append(push)
-        torques.append(twist)
-    none = jnp.zeros((0, 3), position.dtype)
-    return (jnp.stack(forces), jnp.stack(torques)) if forces else (none, none)
+    child = np.array([joint.child for joint in assembly.joints])
+    hanging = assembly.above[:, child].T
+    at = assembly.joint_places(frames)[child]
 
+    def summed(of: np.ndarray, place: Array, force: Array, torque: Array) -> tuple[Array, Array]:
+        """Of some, the force and its torque about each joint."""
+        weights, arm = jnp.asarray(of, position.dtype), place[None] - at[:, None]
+        twist = torque[None] + jnp.cross(arm, force[None])
+        return weights @ force, jnp.einsum("jk,jkd->jd", weights, twist)
 
-def _hanging(assembly: Assembly, body: int) -> list[float]:
-    """1 for a body and all that hangs on it, 0 for others."""
-    found = {body}
-    for other in assembly.order:
-        joint = assembly.joint_of(other)
-        if joint is not None and joint.parent in found:
-            found.add(other)
-    return [float(k in found) for k in range(len(assembly.bodies))]
+    push, twist = summed(hanging[:, assembly.body_of_bead], position, force, torque)
+    if outer.force is None and outer.torque is None:
+        return push, twist
+    still = jnp.zeros_like(frames.origin)
+    outside = (still if x is None else x for x in (outer.force, outer.torque))
+    less = summed(hanging, _middles(assembly, position), *outside)
+    return push - less[0], twist - less[1]
 
 
 def resistance(

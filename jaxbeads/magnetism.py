@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._checks import fail, finite, non_negative, shape
+from ._checks import fail, finite, known, non_negative, shape
 from ._functions import check_law, law_of, leaf_function, trial, value_of
 from ._typing import float_array, optional_float_array
 from .domain import AbstractDomain, Unbounded
@@ -32,6 +32,7 @@ __all__ = [
     "HarmonicField",
     "MagneticField",
     "UniformField",
+    "body_load",
     "dipole_energy",
     "magnetic_energy",
     "moment_load",
@@ -193,6 +194,36 @@ def magnetic_field(value: Any) -> AbstractMagneticField:
     return MagneticField(value) if callable(value) else UniformField(value)
 
 
+def optional_magnetic_field(value: Any) -> AbstractMagneticField | None:
+    """As `magnetic_field`, but `None` stays `None`."""
+    return None if value is None else magnetic_field(value)
+
+
+def check_magnets(
+    bodies: int,
+    moment: Array | None,
+    susceptibility: Array | None,
+    field: AbstractMagneticField | None,
+) -> None:
+    """Moments and susceptibilities of rigid bodies in space, and the field that they need."""
+    magnets = {"moment": (bodies, 3), "susceptibility": (bodies, 3, 3)}
+    there = {"moment": moment, "susceptibility": susceptibility}
+    if (field is None) != (moment is None and susceptibility is None):
+        given = "it is not" if field is None else "nothing is magnetic"
+        fail("field", "be given with `moment` or `susceptibility`, or none of them", given)
+    for name, value in there.items():
+        if value is not None:
+            shape(name, value, magnets[name])
+            finite(name, value)
+            if field is not None:
+                field.check(3, value.dtype)
+    if susceptibility is not None and known(susceptibility):
+        chi = np.asarray(susceptibility)
+        off = np.abs(chi - chi.swapaxes(1, 2)).max()
+        if off > 1e-6 * np.abs(chi).max():
+            fail("susceptibility", "be symmetric", f"it is off by {off:.3g}")
+
+
 def check_numbers(name: str, value: Array, *allowed: tuple[int, ...]) -> None:
     """Moments or susceptibilities: finite numbers, one for all or one each."""
     if value.ndim > 1:
@@ -305,3 +336,35 @@ def moment_load(
         return Load(torque=cross(moment, field.at(t, position)))
     force, along = jax.grad(energy, argnums=(0, 1))(position, moment)
     return Load(force=-force, torque=cross(moment, -along))
+
+
+def body_load(
+    t: Float[Array, ""],
+    place: Float[Array, "bodies 3"],
+    rotation: Float[Array, "bodies 3 3"],
+    moment: Float[Array, "bodies 3"] | None,
+    susceptibility: Float[Array, "bodies 3 3"] | None,
+    field: AbstractMagneticField | None,
+) -> Load:
+    """Forces and torques on rigid bodies at places, turned by rotations R, with the energy
+
+        E = -sum of (R m) . B + B . (R chi R^T) B/2,
+
+    those of moments m' = R m + R chi R^T B: torques m' x B, forces grad (m' . B) with m' held.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.magnetism import UniformField, body_load
+    >>> place, still, chi = jnp.zeros((1, 3)), jnp.eye(3)[None], jnp.diag(jnp.array([2.0, 0.0, 0.0]))
+    >>> field = UniformField([3.0, 1.0, 0.0])
+    >>> print(body_load(jnp.zeros(()), place, still, None, chi[None], field).torque)  # chi B_x B_y
+    [[0. 0. 6.]]
+    """
+    if field is None:
+        return Load()
+    total = jnp.zeros_like(place)
+    if moment is not None:
+        total = jnp.einsum("bij,bj->bi", rotation, moment)
+    if susceptibility is not None:
+        chi = jnp.einsum("bij,bjk,blk->bil", rotation, susceptibility, rotation)
+        total = total + jnp.einsum("bij,bj->bi", chi, field.at(t, place))
+    return moment_load(t, place, total, field, None, jnp.ones_like(place[:, 0]))

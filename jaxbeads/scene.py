@@ -16,7 +16,6 @@ from .coincidence import overlaid
 from .constraint import AbstractChainConstraint, AbstractConstraint, Joint
 from .flow import AbstractFlow
 from .force import AbstractForce, Bending, BendingEnergy, ElasticRod, JointBending
-from .frames import framed
 from .geometry import smallest_gap
 from .material import check as check_frames
 from .material import with_frames
@@ -126,12 +125,8 @@ class Scene(Setting):
         return every
 
     def begin(self, state: State) -> State:
-        """A state with all that the terms need: normals of its fibres, where a drive acts along them,
-        material frames, and what forces own.
-        """
+        """A state with all that the terms need: material frames, and what forces own."""
         planar = state.position.shape[1] == 2
-        if not planar and any(force.framed(self.chain) for force in self.forces):
-            state = framed(state, self.chain)
         if not planar and state.frame is None and any(force.needs_frames for force in self.forces):
             state = with_frames(state, self.chain)
         own = self._begun(state)
@@ -244,10 +239,6 @@ def check(
         if off.max() > _UNIT:
             must, bead = "hold unit vectors", int(np.argmax(off))
             fail("state.director", must, f"that of bead {bead} has length {lengths[bead]:.3g}")
-    fibres = len(chain.fibres)
-    if state.normal is not None and state.normal.shape[0] != fibres:
-        must = f"hold a normal for each of the {fibres} fibres"
-        fail("state.normal", must, f"it holds {state.normal.shape[0]}")
     if state.director is None and scene.oriented:
         names = [type(t).__name__ for t in (*scene.constraints, *scene.forces) if t.oriented]
         must = f"hold directors for {' and '.join(names)}"

@@ -52,6 +52,7 @@ class Solution(eqx.Module):
       `rollout`.
     - `wall_s`, `compile_s`: seconds in all, and of them for compiling (`simulate` only; from a file that
       was not closed, not a number).
+    - `poses`: of bodies, where they are at each time (`Journey`); `None` of fibres.
     - `status`: "finished", "stopped by `until`", "interrupted", "unfinished" or "broken down", see
       `Outcome`; `solver`: the name of the solver.
 
@@ -78,6 +79,7 @@ class Solution(eqx.Module):
     compile_s: Float[Array, ""] | None = eqx.field(converter=optional_float_array, default=None)
     ending: Int[Array, ""] | None = eqx.field(converter=_small_number, default=None)
     method: Int[Array, ""] | None = eqx.field(converter=_small_number, default=None)
+    poses: Any = None
 
     @property
     def final(self) -> State:
@@ -117,9 +119,9 @@ class Solution(eqx.Module):
         `table.to_netcdf("run.nc")` a file that other programs read. A host function.
 
         **Argument** `chain`: gives each bead its fibre, radius and arclength as coordinates.
-        **Returns** an `xarray.Dataset`: `position` (time, bead, component), `director`, `normal`,
-        `frame` and what forces own (`own_0`, ...) where there are, `residual`, `bond_length_error`,
-        `steps`, `code` and seconds. Attributes of each variable say what it is (`long_name`) and its
+        **Returns** an `xarray.Dataset`: `position` (time, bead, component), `director`, `frame`
+        and what forces own (`own_0`, ...) where there are, `residual`, `bond_length_error`, `steps`,
+        `code` and seconds. Attributes of each variable say what it is (`long_name`) and its
         `dimension`, in units of the scene; those of the table have `status` and `solver`. **Raises**
         `ValueError` for a batch, for numbers that are traced, and for a chain of other beads.
         """

@@ -13,6 +13,7 @@ iterations they take (`solver/esdirk.py`). Nothing is linearised as a whole, and
 within an iteration. Derivatives are those of the two equations at the solution.
 """
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -228,26 +229,47 @@ def _numbers(chart: AbstractCoordinates) -> np.ndarray:
 @with_all_digits
 @eqx.filter_jit
 def near(
-    t: Array, x: Array, ahead: Array, chart: AbstractCoordinates, scene: Scene, guess: Array
+    t: Array,
+    x: Array,
+    ahead: Array,
+    chart: AbstractCoordinates,
+    scene: Scene,
+    guess: Array,
+    implicit: bool = True,
 ) -> Near:
     """What is solved instead of the stages of a step.
 
-    **Arguments**: time; coordinates about which; g; the chart; scene; multipliers there, about.
+    **Arguments**: time; coordinates about which; g; the chart; scene; multipliers there, about; whether
+    it is for implicit stages: of an explicit one D is not asked for, and D^-1 is 0 here.
     """
     state = chart.state(x)
     system = iterations(t, state, scene) if scene.constraints else None
     part = parts(state, scene.operator(state), scene.chain)
-    maps = Maps(t, x, state, chart, scene, guess, part)
-    found = Near(maps, ahead, system)
-    if isinstance(part, Windows) and _numbers(chart).shape[1] > lengthwise.MOST_NUMBERS:
-        long = lengthwise.lengthwise(maps, part, ahead)
-        return eqx.tree_at(_long, found, long, is_leaf=lambda x: x is None)
-    columns = found.columns()
-    if columns is None:
-        return found
-    unit = jnp.eye(columns.shape[1], dtype=columns.dtype)
-    held = lax.map(lambda matrix: inverse(unit - ahead * matrix), columns)
-    return eqx.tree_at(lambda n: n.inverse, found, held, is_leaf=lambda x: x is None)
+    between = tuple(k for k, f in enumerate(scene.forces) if f.local(t, state, scene) is not None)
+    found = Near(Maps(t, x, state, chart, scene, guess, part, between), ahead, system)
+    along = isinstance(part, Windows) and _numbers(chart).shape[1] > lengthwise.MOST_NUMBERS
+
+    def whole() -> Near:
+        if along and isinstance(part, Windows):
+            return dataclasses.replace(found, long=lengthwise.lengthwise(found.maps, part, ahead))
+        each = [scene.forces[k].local(t, state, scene) for k in between]
+        local = sum(each[1:], each[0]) if each else None
+        stiff = dataclasses.replace(found, maps=dataclasses.replace(found.maps, local=local))
+        columns = stiff.columns()
+        if columns is None:
+            return stiff
+        unit = jnp.eye(columns.shape[1], dtype=columns.dtype)
+        held = lax.map(lambda matrix: inverse(unit - ahead * matrix), columns)
+        return dataclasses.replace(stiff, inverse=held)
+
+    if implicit:
+        return whole()
+    shapes = eqx.filter_eval_shape(whole)
+    none = jax.tree.map(
+        lambda x: jnp.zeros(x.shape, x.dtype), (shapes.maps.local, shapes.inverse, shapes.long)
+    )
+    maps = dataclasses.replace(found.maps, local=none[0])
+    return dataclasses.replace(found, maps=maps, inverse=none[1], long=none[2])
 
 
 class _Scale(NamedTuple):

@@ -22,8 +22,6 @@ class State(eqx.Module):
     - `position`: centres of the beads, shape `(beads, dim)`, [length].
     - `director`: unit vectors fixed to the beads, shape `(beads, dim)`, or `None` where no term of
       the scene needs orientations.
-    - `normal`: a unit vector normal to each fibre in space, shape `(fibres, 3)`, which turns with it
-      without spin, or `None` (see `frames`). A run adds it where a drive acts along such normals.
     - `frame`: a unit vector d_1 normal to the fibre at each bead in space, shape `(beads, 3)`, fixed to
       the material, or `None` (see `material`). A run adds it where a force needs it, see `with_frames`.
     - `own`: numbers that forces own, one array (or `None`) for each force of the scene, or `None` (see
@@ -44,9 +42,6 @@ class State(eqx.Module):
     director: Float[Array, "beads dim"] | None = eqx.field(
         converter=optional_float_array, default=None
     )
-    normal: Float[Array, "fibres dim"] | None = eqx.field(
-        converter=optional_float_array, default=None
-    )
     frame: Float[Array, "beads dim"] | None = eqx.field(
         converter=optional_float_array, default=None
     )
@@ -62,11 +57,6 @@ class State(eqx.Module):
             if other != shape:
                 fail("director", f"have the position's shape {shape}", f"it has {other}")
             finite("director", self.director)
-        if self.normal is not None:
-            if self.normal.ndim != 2 or shape[1] != 3 or self.normal.shape[1] != 3:
-                must = "have shape (fibres, 3), in space"
-                fail("normal", must, f"it has {self.normal.shape} beside positions of {shape}")
-            finite("normal", self.normal)
         if self.frame is not None:
             if shape[1] != 3 or self.frame.shape != shape:
                 must = "have the position's shape, in space"

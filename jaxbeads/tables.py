@@ -21,7 +21,6 @@ _MEANINGS = {
     _TIME: ("time", "time"),
     "position": ("centre of each bead", "length"),
     "director": ("unit vector fixed to each bead", "1"),
-    "normal": ("unit normal of each fibre, which turns with it without spin", "1"),
     "frame": ("unit vector normal to the fibre and fixed to the material of each bead", "1"),
     "residual": ("constraint residual", "1"),
     "bond_length_error": ("largest relative error of a bond length", "1"),
@@ -54,7 +53,6 @@ def labelled(
     dimensions: dict[str, list[str]] = {
         "position": ["bead", "component"],
         "director": ["bead", "component"],
-        "normal": ["fibre", "component"],
         "frame": ["bead", "component"],
     }
     arrays = {name: getattr(states, name) for name in dimensions} | dict(values)

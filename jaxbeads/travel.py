@@ -1,8 +1,9 @@
 """`travel`: the path of an `Assembly`, as a pure function; `Journey`: what it returns.
 
-Poses are integrated by Tsitouras' method (that of `diffrax.Tsit5`) in steps that a tolerance chooses;
-joints hold exactly, since a pose has no numbers in which they could fail. Derivatives, in both modes,
-are those of the steps that are taken (`loops`).
+Poses are integrated by Tsitouras' method (that of `diffrax.Tsit5`), or by the linearly implicit RODAS
+where joints are stiff, in steps that a tolerance chooses; joints hold exactly, since a pose has no
+numbers in which they could fail. Derivatives, in both modes, are those of the steps that are taken
+(`loops`).
 """
 
 from typing import Any
@@ -16,6 +17,7 @@ from jax import lax
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
+from . import quaternions, rodas
 from ._checks import fail, finite, increasing, kind, known, positive, shape, whole
 from ._typing import float_array, with_all_digits
 from .assembly import Assembly, Pose
@@ -29,7 +31,8 @@ from .state import State
 __all__ = ["Journey", "travel"]
 
 _TABLEAU: Any = diffrax.Tsit5.tableau
-_ORDER = 5
+_ORDERS = 5, 4
+"""Of Tsitouras' method, and of the error that RODAS estimates."""
 _STAGES = len(_TABLEAU.c) + 1
 # Of each stage, shares of the rates before it; the last stage is at the end of the step.
 _SHARES = np.zeros((_STAGES, _STAGES))
@@ -58,6 +61,7 @@ class Journey(eqx.Module):
     steps: Int[Array, ""]
     code: Int[Array, ""]
     step: Float[Array, ""]
+    implicit: bool = eqx.field(static=True, default=False)
 
     @property
     def final(self) -> Pose:
@@ -71,8 +75,13 @@ class Journey(eqx.Module):
             return assembly.positions(assembly.frames(pose))
 
         states = jax.vmap(lambda pose: State(position(pose)))(self.poses)
-        none, method = jnp.zeros_like(self.ts), name_number("Tsit5")
-        return Solution(self.ts, states, self.steps, self.code, None, none, method=method)
+        none, method = (
+            jnp.zeros_like(self.ts),
+            name_number("Rosenbrock" if self.implicit else "Tsit5"),
+        )
+        return Solution(
+            self.ts, states, self.steps, self.code, None, none, method=method, poses=self.poses
+        )
 
 
 def travel(
@@ -83,6 +92,7 @@ def travel(
     tolerance: Any = 1e-6,
     step: Any = None,
     max_steps: int = 100_000,
+    implicit: bool = False,
 ) -> Journey:
     """Poses at the times `ts`, from `pose` at `ts[0]`.
 
@@ -96,6 +106,9 @@ def travel(
     - `tolerance`: largest error of a step, as a fraction of the longest body's length and in radians.
     - `step`: length of the first step [time]; by default one in which little moves.
     - `max_steps`: the most steps between two times.
+    - `implicit`: whether steps are linearly implicit, those of `Rosenbrock`. Each costs a hundred times
+      an explicit one, but joints may be as stiff as they like: take them for flexible fibres
+      (`body.fibre`).
 
     **Returns** a `Journey`. **Raises** `ValueError` for input that does not fit.
 
@@ -123,7 +136,7 @@ def travel(
     step = float_array(first).astype(ts.dtype)
     shape("step", step, ())
     positive("step", step)
-    return _travel(assembly, pose, ts, tolerance, step, max_steps)
+    return _travel(assembly, pose, ts, tolerance, step, max_steps, bool(implicit))
 
 
 class _Carry(eqx.Module):
@@ -160,7 +173,13 @@ def _first_step(t: Array, gap: Array, pose: Pose, assembly: Assembly) -> Array:
 @with_all_digits
 @eqx.filter_jit
 def _travel(
-    assembly: Assembly, pose: Pose, ts: Array, tolerance: Array, step: Array, max_steps: int
+    assembly: Assembly,
+    pose: Pose,
+    ts: Array,
+    tolerance: Array,
+    step: Array,
+    max_steps: int,
+    implicit: bool,
 ) -> Journey:
     size, none = lax.stop_gradient(_size(assembly)), jnp.zeros((), int)
     first = linked((pose, lax.stop_gradient(step), none, none), (assembly, pose, ts))
@@ -168,7 +187,7 @@ def _travel(
     def interval(carry: Any, span: tuple[Array, Array]) -> tuple[Any, Pose]:
         pose, step, steps, code = carry
         t0, t1 = span
-        fixed = assembly, t1, tolerance, size
+        fixed = assembly, t1, tolerance, size, implicit
         start = none, _Carry(t0, step, pose, code)
         count, end = loop(_unfinished, _attempted, start, fixed, max_steps)
         code = jnp.where((end.t < t1) & (end.code == 0), Outcome.TOO_MANY_STEPS, end.code)
@@ -178,7 +197,7 @@ def _travel(
 
     last, rest = lax.scan(interval, first, (ts[:-1], ts[1:]))
     poses = jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), pose, rest)
-    return Journey(ts, poses, last[2], last[3], last[1])
+    return Journey(ts, poses, last[2], last[3], last[1], implicit)
 
 
 def _stepped(t: Array, h: Array, pose: Pose, assembly: Assembly) -> tuple[Pose, Pose]:
@@ -200,6 +219,62 @@ def _stepped(t: Array, h: Array, pose: Pose, assembly: Assembly) -> tuple[Pose, 
     return whole(places[-1]), whole(error)
 
 
+def _near(pose: Pose, x: Array) -> Pose:
+    """The pose at numbers x about one: ways, and for each body the vector r of its turn on by (1, r/2),
+    of no particular length.
+    """
+    ways, turns = jnp.split(x, [pose.place.size])
+    turns = jnp.pad(turns.reshape(-1, 3) / 2, ((0, 0), (1, 0)), constant_values=((0, 0), (1, 0)))
+    return Pose(pose.place + ways.reshape(-1, 3), quaternions.product(turns, pose.turn))
+
+
+def _near_rate(t: Array, x: Array, pose: Pose, assembly: Assembly) -> Array:
+    """Rate of change of x."""
+    moving = turning(t, _near(pose, x), assembly)
+    turns = x[pose.place.size :].reshape(-1, 3)
+    back = pose.turn * np.array([[1.0, -1.0, -1.0, -1.0]]) / jnp.sum(pose.turn**2, 1, keepdims=True)
+    change = quaternions.product(moving.turn, back)
+    turns = 2 * change[:, 1:] - change[:, :1] * turns
+    return jnp.concatenate([moving.place.ravel(), turns.ravel()])
+
+
+def _implicit(t: Array, h: Array, pose: Pose, assembly: Assembly) -> tuple[Pose, Pose]:
+    """A step of RODAS, and its error. The Jacobian is a matrix for the factor alone: derivatives of the
+    step are those of products with it.
+    """
+    x0 = jnp.zeros(pose.place.size + 3 * len(pose.turn), pose.turn.dtype)
+    held = lax.stop_gradient((t, pose, assembly))
+    jacobian = jax.jacfwd(lambda x: _near_rate(held[0], x, *held[1:]))(x0)
+    units = jnp.where(np.arange(len(x0)) < pose.place.size, _size(held[2]), 1.0)
+    factor = rodas.factorised(jacobian, lax.stop_gradient(h), units)
+
+    def rate(t: Array, x: Array) -> Array:
+        return _near_rate(t, x, pose, assembly)
+
+    def implicit(u: Array) -> Array:
+        return u - h * rodas.GAMMA * jax.jvp(lambda x: rate(t, x), (x0,), (u,))[1]
+
+    def solve(rhs: Array) -> Array:
+        return lax.custom_linear_solve(
+            implicit, rhs, lambda _, b: factor.solve(b), lambda _, b: factor.transpose_solve(b)
+        )
+
+    drift = h * h * jax.jvp(lambda t: rate(t, x0), (t,), (jnp.ones_like(t),))[1]
+
+    def stage(us: Array, row: tuple[Array, ...]) -> tuple[Array, None]:
+        index, a, c, alpha, weight = row
+        rhs = rodas.GAMMA * (h * rate(t + alpha * h, a @ us) + c @ us + weight * drift)
+        return us.at[index].set(solve(rhs)), None
+
+    table = rodas.A, rodas.C, rodas.ALPHA, rodas.DRIFT
+    rows = (jnp.arange(6), *(jnp.asarray(row, x0.dtype) for row in table))
+    us, _ = lax.scan(stage, jnp.zeros((6, len(x0)), x0.dtype), rows)
+    ways, turns = jnp.split(us[5], [pose.place.size])
+    error = Pose(ways.reshape(-1, 3), turns.reshape(-1, 3) / 2)
+    after = _near(pose, jnp.asarray(rodas.A[5], x0.dtype) @ us + us[5])
+    return Pose(after.place, unit(after.turn)), error
+
+
 def _unfinished(now: Any, fixed: Any) -> Array:
     _, carry = now
     return (carry.t < fixed[1]) & (carry.code == Outcome.FINE)
@@ -208,11 +283,12 @@ def _unfinished(now: Any, fixed: Any) -> Array:
 @with_all_digits
 def _attempted(now: Any, fixed: Any) -> Any:
     """One step, kept or not."""
-    (count, carry), (assembly, t1, tolerance, size) = now, fixed
+    (count, carry), (assembly, t1, tolerance, size, implicit) = now, fixed
     left = t1 - carry.t
     last = carry.step >= left
     h = jnp.where(last, left, carry.step)
-    pose, error = _stepped(carry.t, h, carry.pose, assembly)
+    stepped = _implicit if implicit else _stepped
+    pose, error = stepped(carry.t, h, carry.pose, assembly)
     wrong = lax.stop_gradient(_amount(error, size) / tolerance)
     good = jnp.all(jnp.isfinite(pose.turn)) & jnp.all(jnp.isfinite(pose.place))
     outside = assembly.scene.outside(State(assembly.positions(assembly.frames(pose))))
@@ -220,7 +296,7 @@ def _attempted(now: Any, fixed: Any) -> Any:
         good = good & ~jnp.any(outside)
     wrong = jnp.where(good & jnp.isfinite(wrong), wrong, jnp.inf)
     keep = wrong <= 1
-    factor = jnp.clip(0.9 * jnp.maximum(wrong, 1e-10) ** (-1 / _ORDER), 0.2, 5.0)
+    factor = jnp.clip(0.9 * jnp.maximum(wrong, 1e-10) ** (-1 / _ORDERS[implicit]), 0.2, 5.0)
     # A step that was shortened to end at a time says little about how long the next one may be.
     following = jnp.where(keep & last, jnp.maximum(carry.step, h * factor), h * factor)
     following = lax.stop_gradient(following)

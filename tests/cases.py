@@ -11,7 +11,7 @@ from jax import Array
 from jax.tree_util import Partial
 
 from jaxbeads import AB3, ESDIRK, Chain, Scene, State, dynamics, from_directors, from_tangents
-from jaxbeads.actuation import FourierCurvature, TravellingWave, TwoPlanes, TwoStrokes
+from jaxbeads.actuation import AbstractCurvature, FourierCurvature, TravellingWave, TwoStrokes
 from jaxbeads.constraint import (
     EqualSpins,
     FrozenJoints,
@@ -340,7 +340,7 @@ def flow(value, turn):
 
 # How the numbers of a class turn; those that are not here do not.
 TURNS = {
-    "State": {"position": place, "director": vector, "normal": vector, "frame": vector},
+    "State": {"position": place, "director": vector, "frame": vector},
     "Scene": {"flow": flow},
     "NoSlipWall": {"point": place, "normal": vector},
     "Weight": {"force": vector},
@@ -373,12 +373,18 @@ def turned(thing, turn):
     return dataclasses.replace(thing, **changes) if changes else thing
 
 
-_STILL = TravellingWave(0.0, 1.0, 1.0)
+class Upright(AbstractCurvature):
+    """A planar curvature as vectors along z."""
+
+    planar: AbstractCurvature
+
+    def __call__(self, t, arclength, length):
+        return jnp.pad(self.planar(t, arclength, length)[:, None], ((0, 0), (2, 0)))
 
 
 def _bending(f):
-    if callable(f.intrinsic_curvature):  # bends in the x-y plane
-        return Bending(f.rigidity, TwoPlanes(_STILL, f.intrinsic_curvature), f.discrete_curvature)
+    if callable(f.intrinsic_curvature):
+        return Bending(f.rigidity, Upright(f.intrinsic_curvature), f.discrete_curvature)
     vectors = f.intrinsic_curvature * jnp.array([[0.0, 0.0, 1.0]])
     return Bending(f.rigidity, jnp.tile(vectors, (5, 1)), f.discrete_curvature)
 
@@ -397,7 +403,7 @@ def _magnet(f):
 SPATIAL = {
     "Weight": lambda f: Weight(jnp.pad(f.force, (0, 1))),
     "Bending": _bending,
-    "DrivingMoment": lambda f: DrivingMoment(TwoPlanes(_STILL, f.moment)),
+    "DrivingMoment": lambda f: DrivingMoment(Upright(f.moment)),
     "BendingEnergy": lambda f: (
         None if jnp.any(f.intrinsic_curvature) else f
     ),  # it has no sign there

@@ -38,7 +38,6 @@ from jaxbeads.actuation import (
     HelicalBeat,
     PlanarBeat,
     TravellingWave,
-    TwoPlanes,
 )
 from jaxbeads.constraint import (
     FrozenJoints,
@@ -508,9 +507,19 @@ DRIVES = {
         lambda: run_force(Bending(1.0, TravellingWave(np.ones(4), 1.0, 1.0))),
         "`Bending.intrinsic_curvature` must be a function that can be called with 3 joints, but",
     ),
-    "helical wave in the plane": (
-        lambda: run_force(Bending(1.0, TwoPlanes(*[TravellingWave(1.0, 1.0, 1.0)] * 2))),
-        "`Bending.intrinsic_curvature` must have shape () or (3,), but it has shape (3, 2)",
+    "vectors in the plane": (
+        lambda: run_force(Bending(1.0, lambda t, s, length: jnp.ones((3, 3)))),
+        "`Bending.intrinsic_curvature` must have shape () or (3,), but it has shape (3, 3)",
+    ),
+    "two curvatures of bending": (
+        lambda: run_force(Bending(1.0, lambda t, s, length: jnp.ones((3, 2))), state=SPATIAL),
+        "`Bending.intrinsic_curvature` must have shape () or (3,) or (3, 3), but it has shape (3, 2)",
+    ),
+    "two curvatures in one": (
+        lambda: run_force(
+            ElasticRod(1.0, 1.0, None, lambda t, s, length: jnp.ones((3, 2))), state=SPATIAL
+        ),
+        "`ElasticRod.intrinsic_curvature` must have shape () or (3,), but it has shape (3, 2)",
     ),
     "matrix of amplitudes": (
         lambda: TravellingWave(np.ones((2, 2)), 1.0, 1.0),

@@ -442,3 +442,64 @@ def test_single_precision():
     assert {x.dtype for x in jax.tree.leaves(found)} == {jnp.dtype(jnp.float32)}
     assert np.abs(found.velocity - expected.velocity).max() < 1e-4
     assert np.abs(found.joint_torque - expected.joint_torque).max() < 0.3
+
+
+def ball_jointed(root, **options):
+    """A chain of the Joint Model in space, and the same as bodies that hang on one of them."""
+    rng, beads = np.random.default_rng(0), 7
+    chain = jb.Chain(1.0, beads)
+    directors = np.cumsum(0.3 * rng.normal(size=(beads, 3)), axis=0) + np.array(X)
+    state = jb.from_directors(chain, directors)
+    ahead = state.position + state.director
+    joints = [Ball(*((i + 1, i) if i < root else (i, i + 1)), ahead[i]) for i in range(beads - 1)]
+    bodies = [jb.Body(x[None], 1.0) for x in state.position]
+    scene = jb.Scene(chain, 1.0, constraints=[jb.constraint.Joint()], **options)
+    return scene, state, jb.Assembly(bodies, 1.0, joints, **options)
+
+
+@pytest.mark.parametrize("root", [0, 3, 6])
+def test_bodies_with_joints_move_as_a_chain_of_the_joint_model(root):
+    flow = jb.flow.LinearFlow([[0.1, 0.5, 0.0], [0.0, -0.1, 0.2], [0.3, 0.0, 0.0]])
+    weight = jb.force.Weight([0.2, -1.0, 0.3])
+    scene, state, assembly = ball_jointed(root, forces=[weight], flow=flow)
+    expected = jb.dynamics.motion(0.0, state, scene)
+    moved = motion(0.0, assembly.drawn, assembly)
+    frames = assembly.frames(assembly.drawn)
+    velocity = moved.velocity + jnp.cross(moved.spin, state.position - frames.origin)
+    assert assembly.order[0] == root
+    assert np.abs(velocity - expected.velocity).max() < 1e-12
+    assert np.abs(moved.spin - expected.spin).max() < 1e-12
+
+
+def test_a_hook_that_resists_twist_otherwise_follows_its_energy():
+    axis = np.array([0.6, 0.0, 0.8])
+    hook = Ball(0, 1, (0.0, 0.0, 0.0), 2.0, 5.0, 3 * axis)
+
+    def energy(turn):
+        r = jb.quaternions.angles(turn)
+        return (2.0 * (r @ r) + 3.0 * (r @ axis) ** 2) / 2
+
+    turn = 1.7 * jb.quaternions.about(*turning(5))
+    torque = hook.torque(jnp.zeros(()), turn)
+    for unit, component in zip(np.eye(3), torque, strict=True):
+        ahead, behind = (
+            energy(jb.quaternions.product(jb.quaternions.about(unit, x), turn))
+            for x in (1e-5, -1e-5)
+        )
+        assert abs(component + (ahead - behind) / 2e-5) < 1e-8
+    alike = Ball(0, 1, (0.0, 0.0, 0.0), 2.0, 2.0, axis), Ball(0, 1, (0.0, 0.0, 0.0), 2.0)
+    one, other = (hook.torque(jnp.zeros(()), turn) for hook in alike)
+    assert np.abs(one - other).max() < 1e-12
+
+
+def test_fibres_that_cannot_be_are_refused():
+    for arguments, sentence in (
+        ((sphere(1.0), 1.0), "Argument `shape` must hold two beads at least, but it holds one."),
+        ((rod(4), [1.0, 2.0]), "Argument `rigidity` must have shape () or (3,)"),
+        ((rod(4), 1.0, -1.0), "Argument `twist_rigidity` must"),
+    ):
+        with pytest.raises(ValueError) as error:
+            jb.body.fibre(*arguments)
+        assert str(error.value).startswith(sentence)
+    with pytest.raises(ValueError, match="Argument `twist_stiffness` must"):
+        Ball(0, 1, stiffness=1.0, twist_stiffness=-1.0)

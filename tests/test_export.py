@@ -32,7 +32,7 @@ def unchecked(monkeypatch):
 def moved(state, ts=TIMES, code=0):
     """A solution in which a state is carried along x."""
     along = jnp.eye(state.position.shape[1])[:1]
-    states = [State(state.position + t * along, state.director, state.normal) for t in ts]
+    states = [State(state.position + t * along, state.director) for t in ts]
     stacked = jax.tree.map(lambda *x: jnp.stack(x), *states)
     return Solution(jnp.asarray(ts), stacked, jnp.asarray(7), jnp.asarray(code))
 
@@ -298,17 +298,17 @@ def test_table_goes_through_netcdf(case, tmp_path):
 
 
 def test_table_of_all_that_a_run_has(tmp_path, unchecked):
-    # Normals, numbers that forces own, what is not finite; single precision stays single.
-    normal = jnp.asarray([[[0.0, 1.0, 0.0]]] * 3, jnp.float32)
+    # Frames, numbers that forces own, what is not finite; single precision stays single.
+    frame = jnp.asarray([[[0.0, 1.0, 0.0]] * 2] * 3, jnp.float32)
     position = jnp.asarray(np.arange(18.0).reshape(3, 2, 3), jnp.float32).at[2].set(jnp.nan)
-    blank = State(np.zeros((2, 3)), None, np.eye(3)[:1], own=(None, jnp.zeros(4)))
+    blank = State(np.zeros((2, 3)), None, np.eye(3)[:2], (None, jnp.zeros(4)))
     own = jnp.arange(12.0).reshape(3, 4)
-    states = jax.tree.unflatten(jax.tree.structure(blank), [position, normal, own])
+    states = jax.tree.unflatten(jax.tree.structure(blank), [position, frame, own])
     error = jnp.array([0.0, 1e-9, jnp.nan])
     numbers = jnp.asarray(7), jnp.asarray(2)
     solution = Solution(jnp.arange(3.0), states, *numbers, error, error, 1.5, 0.5)
     table = solution.to_xarray()
-    assert table.normal.dims == ("time", "fibre", "component")
+    assert table.frame.dims == ("time", "bead", "component")
     assert table.own_1.dims == ("time", "own_1_0") and "own_0" not in table
     assert table.position.dtype == np.float32 and "radius" not in table.coords
     assert table.attrs["status"] == "broken down" and float(table.wall_s) == 1.5

@@ -258,6 +258,20 @@ def test_contact_and_the_smallest_gap_in_blocks(near, monkeypatch):
         slope = jax.jvp(contact, (state.position,), (shift,))[1]
         ahead, behind = (contact(state.position + h * shift) for h in (1e-6, -1e-6))
         assert np.abs(slope - (ahead - behind) / 2e-6).max() < 1e-6 * np.abs(slope).max()
+        # Of each bead alone, also off a wall.
+        wall = jb.NoSlipWall([0.0, 0.0, x[:, 2].min() - 0.5], [0.0, 0.1, 1.0])
+        for at in (setting, Setting(chain, 1.0, domain=wall)):
+            local = jax.jit(lambda s, at=at: Contact(5.0, 2.5, 1.0).local(TIME, s, at))(state)
+            for bead in (0, 250, 399):
+                alone = jax.jacfwd(
+                    lambda y, at=at, bead=bead: (
+                        Contact(5.0, 2.5, 1.0)
+                        .load(TIME, jb.State(state.position.at[bead].set(y)), at)
+                        .force[bead]
+                    )
+                )(state.position[bead])
+                assert np.abs(local[bead] - alone).max() < 1e-12 * max(1.0, np.abs(alone).max())
+            assert np.abs(local).max() > 1.0
         lost = state.position.at[7].set(jnp.nan)
         with (
             pytest.MonkeyPatch.context() as unchecked

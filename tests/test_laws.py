@@ -13,8 +13,17 @@ import numpy as np
 import pytest
 from cases import bent, jointed
 
-from jaxbeads import Chain, Scene, check, dynamics, rollout, simulate, steady_state, straight
-from jaxbeads.actuation import TwoPlanes
+from jaxbeads import (
+    Chain,
+    Scene,
+    check,
+    dynamics,
+    rollout,
+    simulate,
+    steady_state,
+    straight,
+    with_frames,
+)
 from jaxbeads.constraint import (
     Gears,
     Joint,
@@ -28,6 +37,7 @@ from jaxbeads.force import (
     Bending,
     BendingEnergy,
     DrivingMoment,
+    ElasticRod,
     ForceField,
     JointBending,
     Potential,
@@ -59,8 +69,8 @@ def on_joints(function):
 
 
 def in_space(function):
-    bending = Bending(3.0, TwoPlanes(function, lambda t, s, length: 0.1 * s))
-    return Scene(CHAIN, 1.0, constraints=[Gears()], forces=[bending]), SPACE
+    rod = ElasticRod(3.0, 2.0, None, lambda t, s, length: 0.1 * s, function)
+    return Scene(CHAIN, 1.0, constraints=[Gears()], forces=[rod]), with_frames(SPACE, CHAIN)
 
 
 def alone(size):
@@ -106,7 +116,7 @@ PLACES = {
         "DrivingMoment.moment",
         along_fibre,
     ),
-    "plane": (in_space, "TwoPlanes.first", along_fibre),
+    "rod": (in_space, "ElasticRod.second_curvature", along_fibre),
     "force": (
         lambda f: (model(forces=[ForceField(f)]), PLANE),
         "ForceField.function",
@@ -321,8 +331,6 @@ def test_another_number_of_arguments_is_refused(make, name, smooth):
 FUNCTIONLESS = {
     "law": [PrescribedPosition, PrescribedSpin, PrescribedDirection, PrescribedLengths],
     "function": [ForceField, Potential, VelocityField],
-    "first": [lambda f: TwoPlanes(f, along_fibre)],
-    "second": [lambda f: TwoPlanes(along_fibre, f)],
 }
 
 

@@ -19,11 +19,12 @@ from jaxbeads import (
     State,
     dynamics,
     from_directors,
+    material,
     rollout,
     simulate,
     straight,
 )
-from jaxbeads.actuation import FourierCurvature, HelicalBeat, PlanarBeat, TravellingWave, TwoPlanes
+from jaxbeads.actuation import FourierCurvature, HelicalBeat, PlanarBeat, TravellingWave
 from jaxbeads.chain import linked, place
 from jaxbeads.constraint import (
     AbstractConstraint,
@@ -45,6 +46,7 @@ from jaxbeads.force import (
     BendingEnergy,
     Contact,
     DrivingMoment,
+    ElasticRod,
     Follower,
     JointBending,
     JointRepulsion,
@@ -488,9 +490,10 @@ WAVE = TravellingWave(0.3, 0.4, 1.5, 0.2)
     [
         (WAVE, 2),
         (FourierCurvature([[0.1, 0.2], [0.3, 0.1]], [[0.0, 0.1], [0.0, -0.2]], 0.7), 2),
-        (TwoPlanes(WAVE, TravellingWave(0.3, 0.4, 1.5, 1.8)), 3),
+        (WAVE, 3),
+        (lambda t, s, length: WAVE(t, s, length)[:, None] * np.array([0.6, 0.0, 0.8]), 3),
     ],
-    ids=["travelling", "fourier", "helical"],
+    ids=["travelling", "fourier", "along the binormal", "vectors"],
 )
 @pytest.mark.parametrize("model", ["gears", "joint"])
 def test_active_fibres_exert_no_net_load(model, wave, dim):
@@ -511,6 +514,37 @@ def test_active_fibres_exert_no_net_load(model, wave, dim):
         dynamics.motion(0.3, state, scene).velocity - dynamics.motion(0.3, state, still).velocity
     )
     assert np.abs(change).max() > 1e-3  # and it does act
+
+
+def test_helical_waves_exert_no_net_load_and_drive():
+    # Two fibres, the waves of the second elsewhere along it: forces and torques of each sum to zero.
+    chain = Chain(1.0, (6, 5))
+    state = jb.with_frames(bent(chain, 3, centre=[[0.0] * 3, [9.0] * 3]), chain)
+    active = ElasticRod(20.0, 15.0, None, WAVE, TravellingWave(0.3, 0.4, 1.5, 1.8))
+    load = active.load(jnp.asarray(0.3), state, Setting(chain, 1.0))
+    force, torque = np.asarray(load.force), np.asarray(load.torque)
+    turning = np.cross(state.position, force) + torque
+    for part in (slice(0, 6), slice(6, 11)):
+        assert np.abs(force[part].sum(axis=0)).max() < 1e-12 * np.abs(force).max()
+        assert np.abs(turning[part].sum(axis=0)).max() < 1e-12 * np.abs(turning).max()
+    # At small curvature it drives as `Bending` does along the same vectors.
+    level = jb.with_frames(straight(chain, np.eye(3)[:2], [[0.0] * 3, [9.0] * 3]), chain)
+    of = level.frame[1:-1], jnp.cross(material.directions(level.position, chain)[1], level.frame)
+
+    def vectors(t, s, length):
+        about = active.intrinsic_curvature, active.second_curvature
+        return (
+            about[0](t, s, length)[:, None] * of[0] + about[1](t, s, length)[:, None] * of[1][1:-1]
+        )
+
+    moved = [
+        dynamics.motion(
+            0.3, level, Scene(chain, 1.0, constraints=[Gears()], forces=[force])
+        ).velocity
+        for force in (active, Bending(20.0, vectors))
+    ]
+    assert np.abs(moved[0] - moved[1]).max() < 1e-12 * np.abs(moved[1]).max()
+    assert np.abs(moved[1]).max() > 1e-3
 
 
 def test_waves_by_hand():
@@ -534,22 +568,25 @@ def test_preferred_curvature_is_the_shape_at_rest():
     end = rollout(scene, straight(chain, [1.0, 0.0]), [0.0, 1200.0], substeps=1600).final.position
     wanted = wave(T0, chain.arclength[1:-1], chain.length[np.zeros(6, int)])
     assert np.abs(jb.observables.curvature(end, chain) - wanted).max() < 1e-8
-    # In space, in a plane that is not that of the axes.
-    deep = TwoPlanes(TravellingWave(0.1, 0.4, 0.0, 0.9), TravellingWave(0.1, 0.4, 0.0, 0.9))
-    scene = Scene(chain, 1.0, constraints=[Gears()], forces=[Bending(20.0, deep)])
-    end = rollout(
-        scene, straight(chain, [1.0, 0.0, 0.0]), [0.0, 1200.0], substeps=1600
-    ).final.position
-    wanted = np.abs(wanted) / 1.5 * np.sqrt(2)
-    assert np.abs(jb.observables.curvature(end, chain) - wanted).max() < 1e-8
+    # In space about both axes of the material, not in a plane, from frames of its own.
+    waves = TravellingWave(0.1, 0.4, 0.0, 0.9), TravellingWave(0.08, 0.4, 0.0, 2.0)
+    rod = ElasticRod(20.0, 15.0, None, *waves)
+    scene = Scene(chain, 1.0, constraints=[Gears()], forces=[rod])
+    end = rollout(scene, straight(chain, [1.0, 0.0, 0.0]), [0.0, 1200.0], substeps=1600).final
+    wanted = [w(T0, chain.arclength[1:-1], chain.length[np.zeros(6, int)]) for w in waves]
+    assert np.abs(material.curvature(end, chain) - np.stack(wanted, axis=1)).max() < 1e-8
+    assert np.abs(material.twist(end, chain)).max() < 1e-8
 
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_driving_moments_are_those_of_a_preferred_curvature(dim):
     chain = Chain(np.linspace(0.9, 1.2, 9), (5, 4))
     state = bent(chain, dim, centre=[[0.0] * dim, [9.0] * dim])
-    wave = WAVE if dim == 2 else TwoPlanes(WAVE, TravellingWave(0.1, 0.2, 0.7))
     rigidity = 20.0
+
+    def wave(t, s, length):
+        value = WAVE(t, s, length)
+        return value if dim == 2 else value[:, None] * np.array([0.6, 0.0, 0.8])
 
     def moment(t, s, length):
         return rigidity * wave(t, s, length)

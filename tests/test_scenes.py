@@ -11,6 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.linalg import null_space
+from scipy.spatial.transform import Rotation
 
 import jaxbeads as jb
 from jaxbeads import (
@@ -27,7 +29,7 @@ from jaxbeads import (
 )
 from jaxbeads.constraint import EqualSpins, Gears, PrescribedLengths
 from jaxbeads.flow import Shear
-from jaxbeads.force import Bending
+from jaxbeads.force import Bending, ElasticRod
 from jaxbeads.mobility import RPY, FreeDraining
 from jaxbeads.scenes import SCENES
 
@@ -297,19 +299,119 @@ def test_close_nematodes_do_not_overlap():
     assert 1.9 < apart.min() < 2.1  # they do touch
 
 
+def least_power(scene, position, rate):
+    """Velocity of the centre, rate of turning and spins of a chain that keeps its shape while its beads
+    turn about the centreline at a rate beside: by minimal power among all that roll without slip.
+    """
+    n, arm = len(position), position - position.mean(axis=0)
+    e = np.diff(position, axis=0)
+    e /= np.linalg.norm(e, axis=1)[:, None]
+    t = np.concatenate([e[:1], e[1:] + e[:-1], e[-1:]])
+    t /= np.linalg.norm(t, axis=1)[:, None]
+    # Beside the whole's: spins w with (w_i + w_{i+1}) x e_i = 0 and w_i . t_i the rate.
+    rows, right = np.zeros((4 * n - 3, n, 3)), np.zeros(4 * n - 3)
+    for i, axis in enumerate(e):
+        rows[3 * i : 3 * i + 3, i] = rows[3 * i : 3 * i + 3, i + 1] = np.cross(np.eye(3), axis).T
+    rows[np.arange(3 * n - 3, 4 * n - 3), np.arange(n)], right[3 * n - 3 :] = t, rate
+    rows = rows.reshape(len(rows), -1)
+    spin, free = np.linalg.lstsq(rows, right, rcond=1e-10)[0], null_space(rows, rcond=1e-10)
+    assert np.abs(rows @ spin - right).max() < 1e-12 * abs(rate)
+
+    def motions(velocity, turning, spins):
+        spins = np.reshape(spins, (-1, n, 3)) + turning[:, None]
+        moved = velocity[:, None] + np.cross(turning[:, None], arm)
+        return np.concatenate(
+            [moved.reshape(len(moved), -1), spins.reshape(len(spins), -1)], axis=1
+        )
+
+    none, one = np.zeros((3, 3)), np.eye(3)
+    still = np.zeros((free.shape[1], 3))
+    ways = [(one, none, np.zeros((3, 3 * n))), (none, one, np.zeros((3, 3 * n)))]
+    basis = np.concatenate([motions(*way) for way in (*ways, (still, still, free.T))])
+    given = motions(np.zeros((1, 3)), np.zeros((1, 3)), spin)[0]
+
+    @jax.vmap
+    def column(unit):
+        load = jb.Load(*unit.reshape(2, n, 3))
+        moved = scene.operator(State(position)).motion(load)
+        return jnp.concatenate([moved.velocity.ravel(), moved.spin.ravel()])
+
+    resistance = np.linalg.inv(column(jnp.eye(6 * n)))
+    best = -np.linalg.solve(basis @ resistance @ basis.T, basis @ resistance @ given)
+    return best[:3], best[3:6], (given + best @ basis).reshape(2, n, 3)[1]
+
+
 def test_spiral_swimmer():
-    # Free of force and torque: the beads spin against the turning of the shape; the mirror image (the
-    # other handedness) swims as fast and spins the other way.
+    # A shape that does not change, in which the material turns once a period: its motion is known from
+    # the shape alone, without frames, loads and steps. The mirror image (the other handedness) swims as
+    # fast, spins and turns the other way.
     case = scenes.spiral(8, 15.0)
-    found = measured("spiral", case)
-    (bending,) = case.scene.forces
-    waves = bending.intrinsic_curvature
-    swapped = Bending(bending.rigidity, type(waves)(waves.second, waves.first))
-    scene = Scene(case.scene.chain, 1.0, constraints=[Gears()], forces=[swapped])
+    run = case.simulate(progress=False)
+    found, scene = scenes.SPIRAL.observables(case, run), case.scene
+    position, length = np.asarray(run.final.position), 16.0
+    moving = jax.tree.map(np.asarray, dynamics.motion(run.ts[-1], run.final, scene))
+    velocity, turning, spin = least_power(scene, position, -2 * np.pi)
+    assert np.abs(moving.velocity.mean(axis=0) - velocity).max() < 1e-5 * length
+    assert np.abs(moving.spin - spin).max() < 1e-4 * 2 * np.pi
+    axis = turning / np.linalg.norm(turning)
+    assert abs(found["speed"] / (abs(velocity @ axis) / length) - 1) < 1e-3
+    assert abs(abs(found["shape_rotation"]) / np.linalg.norm(turning / (2 * np.pi)) - 1) < 1e-4
+    # All the way: a fifth of a percent of a screw motion by one instant's rates.
+    x = np.asarray(run.states.position)[-1 - scenes.case.SAMPLES :]
+    before, after = (y - y.mean(axis=0) for y in (x[0], x[-1]))
+    turn = Rotation.from_matrix(np.asarray(jb.geometry.best_rotation(before, after, np)).T)
+    assert abs(turn.magnitude() / np.pi - 2 * (1 - abs(found["shape_rotation"]))) < 1e-3
+    assert abs(abs((x[-1] - x[0]).mean(axis=0) @ axis) / length / found["speed"] - 1) < 2e-3
+
+    (rod,) = scene.forces
+    swapped = ElasticRod(
+        rod.rigidity, rod.twist_rigidity, None, rod.second_curvature, rod.intrinsic_curvature
+    )
+    scene = Scene(scene.chain, 1.0, constraints=[Gears()], forces=[swapped])
     mirrored = measured("spiral", case._replace(scene=scene))
-    assert found["speed"] > 1e-3
+    assert found["speed"] > 1e-3 and found["rotation"] * found["shape_rotation"] < 0
     assert abs(mirrored["speed"] / found["speed"] - 1) < 1e-4
-    assert abs(mirrored["rotation"] / found["rotation"] + 1) < 1e-4
+    for name in ("rotation", "shape_rotation"):
+        assert abs(mirrored[name] / found[name] + 1) < 1e-4
+
+
+@pytest.mark.slow
+def test_how_a_slightly_bent_spiral_shares_its_turns():
+    # With local drag, free of torque: the beads turn zeta/(zeta + xi) times a period, with
+    # zeta = sum of 6 pi mu a b^2 (b: distances from the axis), xi = 8 pi mu a^3 N; the shape the rest.
+    case = scenes.spiral(12, 5.0, curvature=0.3)
+    (rod,) = case.scene.forces
+    scene = Scene(case.scene.chain, 1.0, FreeDraining(), [Gears()], [rod])
+    case = case._replace(scene=scene, until=None, ts=np.linspace(0.0, 3.0, 121))
+    run = case.simulate(progress=False, tolerance=1e-8)
+    found = scenes.SPIRAL.observables(case, run)
+    arm = np.asarray(run.final.position)
+    arm = arm - arm.mean(axis=0)
+    along = np.linalg.svd(arm)[2][0]
+    square = np.sum(arm**2) - np.sum((arm @ along) ** 2)
+    share = 6 * square / (6 * square + 8 * 12)
+    assert abs(abs(found["rotation"]) / share - 1) < 1e-2
+    assert abs(abs(found["rotation"]) + abs(found["shape_rotation"]) - 1) < 1e-2
+
+
+def test_a_bacterium_with_a_flexible_tail():
+    # For a stiff tail all results differ from those of a rigid one by as much as it is flexible; it is
+    # at rest in the frame that turns with it.
+    small = {"head": 3.0, "radius": 2.0, "pitch": 8.0, "turns": 1.0}
+    found = []
+    for flexible in (0.0, 0.05, 0.1):
+        case = jb.scenes.bacterium(**small, flexible=flexible)
+        run = case.simulate()
+        found.append(list(jb.scenes.BACTERIUM.observables(case, run).values()))
+        if flexible:
+            tail = np.asarray(run.states.position)[[0, -2, -1], 1:]
+            apart = np.linalg.norm(tail[:, :, None] - tail[:, None], axis=3)
+            assert (
+                np.abs(apart[2] - apart[1]).max() < 1e-9 < 1e-3 < np.abs(apart[1] - apart[0]).max()
+            )
+    rigid, one, two = np.array(found)
+    assert np.all(np.abs(one / rigid - 1) < 0.01) and np.all(np.abs(one / rigid - 1) > 1e-5)
+    assert np.abs((two - rigid) / (one - rigid) - 2).max() < 0.1
 
 
 def test_three_spheres():

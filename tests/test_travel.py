@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxbeads as jb
-from jaxbeads.body import Ball, Hinge, Motor, Weld, helix, rod, sphere
+from jaxbeads.body import Ball, Hinge, Motor, Weld, fibre, helix, rod, sphere
 from jaxbeads.locomotion import motion
 
 X = [1.0, 0.0, 0.0]
@@ -155,3 +155,87 @@ def test_what_goes_wrong_has_a_code():
     # Images keep the mobility positive, and so the bead above the wall.
     assert through.code == jb.Outcome.FINE
     assert 0 < ball.positions(ball.frames(through.final))[0, 2] < 1.2
+
+
+def flexible(beads=5, rigidity=20.0, twist_rigidity=10.0, held=False, **options):
+    """A fibre of unequal beads, free or clamped."""
+    parts = fibre(rod(beads), rigidity, twist_rigidity)
+    joints = [Weld(None, 0), *parts.joints] if held else parts.joints
+    return jb.Assembly(parts.bodies, 1.0, joints, **options)
+
+
+FLOW = jb.flow.LinearFlow([[0.1, 0.5, 0.0], [0.0, -0.1, 0.2], [0.3, 0.0, 0.0]])
+
+
+def test_implicit_steps_go_the_same_way():
+    assembly, ts = flexible(flow=FLOW), [0.0, 1.0, 2.0]
+    exact = jb.travel(assembly, assembly.drawn, ts, tolerance=1e-10)
+    places = jax.vmap(lambda pose: assembly.positions(assembly.frames(pose)))
+    errors, steps = [], []
+    for tolerance in (1e-5, 1e-6, 1e-7):
+        journey = jb.travel(assembly, assembly.drawn, ts, tolerance=tolerance, implicit=True)
+        assert journey.code == 0 and journey.solution(assembly).solver == "Rosenbrock"
+        errors.append(np.abs(places(journey.poses) - places(exact.poses)).max())
+        steps.append(int(journey.steps))
+    assert errors[0] < 1e-5 and errors[1] < 1e-6 and errors[2] < 1e-7
+    assert steps[2] < 4 * steps[0]  # of fourth order: 3.2
+
+
+@pytest.mark.parametrize("axis, rigidity", [([1.0, 0.0, 0.0], 3.0), ([0.0, 0.6, 0.8], 20.0)])
+def test_a_stiff_fibre_bends_and_twists_as_it_must(axis, rigidity):
+    # Each joint bears the torque M: the angle of the end is (N - 1) M l/K, exactly.
+    beads, stiff = 6, 1e4
+    torque = 0.04 * stiff * jnp.zeros((beads, 3)).at[-1].set(jnp.array(axis))
+    assembly = flexible(beads, 20.0 * stiff, 3.0 * stiff, True, torque=torque)
+    journey = jb.travel(assembly, assembly.drawn, [0.0, 1e6], tolerance=1e-4, implicit=True)
+    assert journey.code == 0 and journey.steps < 60
+    end = jb.quaternions.angles(journey.final.turn)
+    each = 0.04 * 2 / rigidity * np.array(axis)
+    assert np.abs(np.asarray(end)[1:] - each).max() < 1e-9 and np.abs(end[0]).max() < 1e-15
+    # An explicit step is bound by the fastest twist, some 4 (K_t/l)/(8 pi mu a^3).
+    short = jb.travel(assembly, assembly.drawn, [0.0, 1e6], tolerance=1e-4, max_steps=2000)
+    assert short.code == jb.Outcome.TOO_MANY_STEPS
+
+
+def test_going_on_implicitly_is_the_same_path():
+    assembly, ts = flexible(flow=FLOW), np.linspace(0.0, 2.0, 5)
+    whole = jb.travel(assembly, assembly.drawn, ts, implicit=True)
+    first = jb.travel(assembly, assembly.drawn, ts[:3], implicit=True)
+    rest = jb.travel(assembly, first.final, ts[2:], step=first.step, implicit=True)
+    assert np.array_equal(rest.final.place, whole.final.place)
+    assert np.array_equal(rest.final.turn, whole.final.turn)
+
+
+def bent_end(numbers):
+    rigidity, twist_rigidity, rate, pull = numbers
+    tail = fibre(helix(1.5, 7.0, beads=4, thickness=0.8), rigidity, twist_rigidity, first=1)
+    law = jax.tree_util.Partial(lambda rate, t: rate * (1 + 0.3 * jnp.sin(t)), rate)
+    motor = Motor(0, 1, axis=X, rate=law)
+    bodies = [sphere(2.0, [-3.0, 0.0, 0.0]), *tail.bodies]
+    force = jnp.zeros((5, 3)).at[0, 0].set(pull)
+    assembly = jb.Assembly(bodies, 1.0, [motor, *tail.joints], force=force)
+    journey = jb.travel(assembly, assembly.drawn, [0.0, 1.5], tolerance=1e-8, implicit=True)
+    return assembly.positions(assembly.frames(journey.final))[-1]
+
+
+@pytest.mark.slow
+def test_gradients_of_an_implicit_path():
+    x = jnp.array([300.0, 200.0, 1.0, 2.0])
+    value = jax.jit(bent_end)
+    forward, reverse = jax.jit(jax.jacfwd(bent_end))(x), jax.jit(jax.jacrev(bent_end))(x)
+    assert np.abs(forward - reverse).max() < 1e-9 * np.abs(forward).max()
+    for k, unit in enumerate(np.eye(len(x)) * np.asarray(x)):
+        one, two = ((value(x + h * unit) - value(x - h * unit)) / (2 * h) for h in (2e-3, 4e-3))
+        difference = (4 * one - two) / 3
+        found = forward[:, k] * x[k]
+        assert np.abs(found - difference).max() < 1e-6 * max(1.0, np.abs(difference).max())
+
+
+def test_many_implicit_paths_at_once():
+    def end(rigidity):
+        assembly = flexible(4, rigidity, flow=FLOW)
+        journey = jb.travel(assembly, assembly.drawn, [0.0, 1.0], implicit=True)
+        return assembly.positions(assembly.frames(journey.final))[-1]
+
+    rigidities = jnp.array([5.0, 50.0])
+    assert np.allclose(jax.vmap(end)(rigidities), [end(k) for k in rigidities], atol=1e-9)

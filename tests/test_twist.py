@@ -21,6 +21,7 @@ from jaxbeads import (
     straight,
     with_frames,
 )
+from jaxbeads.actuation import TravellingWave
 from jaxbeads.constraint import (
     Gears,
     Inextensible,
@@ -36,6 +37,8 @@ from jaxbeads.linearise import coordinate_rate, linearise
 from jaxbeads.mobility import FreeDraining
 
 ROD = ElasticRod(30.0, 20.0, 45.0, 0.05, -0.1, 0.07)
+WAVES = TravellingWave(0.2, 0.4, 0.05, 0.3), TravellingWave(0.2, 0.4, 0.05, 1.9)
+ACTIVE = ElasticRod(30.0, 20.0, None, *WAVES)
 NOW = jnp.zeros(())
 
 
@@ -68,18 +71,19 @@ CHAINS = {
 }
 
 
+@pytest.mark.parametrize("rod", [ROD, ACTIVE], ids=["passive", "active"])
 @pytest.mark.parametrize("chain", CHAINS.values(), ids=CHAINS)
-def test_loads_are_derivatives_of_the_energy(chain):
+def test_loads_are_derivatives_of_the_energy(chain, rod):
     # The closed form against automatic differentiation of the energy, in which positions lead frames.
     state, setting = twisted(chain), jb.Setting(chain, 1.0)
 
     @jax.jit
     def both(state):
         def energy(position, frame):
-            return ROD.energy(NOW, State(position, frame=frame), setting)
+            return rod.energy(NOW, State(position, frame=frame), setting)
 
         slopes = jax.grad(energy, (0, 1))(state.position, state.frame)
-        return ROD.load(NOW, state, setting), slopes
+        return rod.load(NOW, state, setting), slopes
 
     load, (push, turn) = both(state)
     assert np.abs(load.force + push).max() < 1e-13 * np.abs(push).max() + 1e-14
@@ -292,12 +296,14 @@ def test_gradients_of_a_run_agree_with_differences():
 
     def end(x):
         first = State(start.position, frame=material.angled(start.frame, t, x[3] * ways))
-        forces = [ElasticRod(x[0], x[1], 45.0, 0.05, -0.1, x[2]), Weight([0.3, 0.0, -1.0])]
+        wave = TravellingWave(x[4], 0.4, 0.05, x[5])
+        forces = [ElasticRod(x[0], x[1], 45.0, 0.05, wave, x[2]), Weight([0.3, 0.0, -1.0])]
         scene = Scene(chain, 1.0, constraints=[Inextensible(), *hinged()], forces=forces)
         final = rollout(scene, first, [0.0, 20.0], solver=jb.Rosenbrock(substeps=4)).final
         return jnp.sum(final.position[-1] ** 2) + final.frame[-1, 0]
 
-    x, way, h = jnp.array([30.0, 20.0, 0.07, 0.1]), jnp.array([3.0, -2.0, 0.1, 0.2]), 1e-4
+    x, h = jnp.array([30.0, 20.0, 0.07, 0.1, 0.2, 0.3]), 1e-4
+    way = jnp.array([3.0, -2.0, 0.1, 0.2, 0.1, -0.5])
     value = jax.jit(end)
     difference = (value(x + h * way) - value(x - h * way)) / (2 * h)
     forward = jax.jit(lambda x: jax.jvp(end, (x,), (way,))[1])(x)
@@ -309,7 +315,8 @@ def test_gradients_of_a_run_agree_with_differences():
 
 def test_restart_bit_for_bit(tmp_path):
     chain = Chain(1.0, 4)
-    scene = Scene(chain, 1.0, constraints=[Gears()], forces=[ROD, Weight([0.3, 0.0, -1.0])])
+    forces = [ROD, ACTIVE, Weight([0.3, 0.0, -1.0])]
+    scene = Scene(chain, 1.0, constraints=[Gears()], forces=forces)
     state, ts, path = twisted(chain), np.linspace(0.0, 20.0, 9), tmp_path / "part.h5"
     whole = jb.simulate(scene, state, ts, progress=False)
     stops = {"file": path, "chunk": 2, "progress": False}
@@ -335,9 +342,22 @@ def test_starts_in_any_direction_move_alike():
 
 
 def falling_free(state):
-    """A rod that relaxes from a bent and twisted shape."""
-    scene = Scene(Chain(1.0, 4), 1.0, constraints=[Gears()], forces=[ROD])
+    """A rod that relaxes from a bent and twisted shape, driven by a helical wave."""
+    scene = Scene(Chain(1.0, 4), 1.0, constraints=[Gears()], forces=[ROD, ACTIVE])
     return rollout(scene, state, [0.0, 5.0], solver=jb.Rosenbrock(substeps=20)).final
+
+
+@pytest.mark.slow
+def test_all_solvers_take_a_helical_wave_the_same_way():
+    chain = Chain(1.0, 5)
+    scene = Scene(chain, 1.0, constraints=[Gears()], forces=[ACTIVE])
+    start, ts = twisted(chain), [0.0, 20.0]  # a period
+    solvers = jb.Rosenbrock(tolerance=1e-9), jb.ESDIRK(tolerance=1e-9), jb.AB3(substeps=4000)
+    first, *others = (rollout(scene, start, ts, solver=s).final for s in solvers)
+    assert np.abs(first.position - start.position).max() > 0.1
+    for other in others:
+        assert np.abs(first.position - other.position).max() < 1e-6
+        assert np.abs(first.frame - other.frame).max() < 1e-6
 
 
 def test_a_helix_at_rest():

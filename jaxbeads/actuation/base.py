@@ -26,9 +26,9 @@ class AbstractCurvature(eqx.Module):
         t: Float[Array, ""],
         arclength: Float[Array, " joints"],
         length: Float[Array, " joints"],
-    ) -> Float[Array, " joints"] | Float[Array, "joints 2"] | Float[Array, "joints 3"]:
-        """Curvature [1/length] at each joint: signed in the plane; in space along two normals of the
-        fibre (see `TwoPlanes`) or vectors.
+    ) -> Float[Array, " joints"] | Float[Array, "joints 3"]:
+        """Curvature [1/length] at each joint: signed in the plane; in space about an axis of the
+        material (two of them in `force.ElasticRod`), along the binormal or vectors (`force.Bending`).
 
         **Arguments**: time; arclength from the first end of the joint's fibre [length]; length of that
         fibre [length].

@@ -5,13 +5,14 @@ from collections.abc import Callable
 from typing import Any, ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .. import quaternions
 from .._checks import fail, finite, non_negative, non_zero, shape, whole
 from .._functions import check_law, law_of, leaf_function
-from .._typing import float_array
+from .._typing import float_array, optional_float_array
 from ..geometry import unit
 
 Law = Float[Array, ""] | Callable[[Array], Array]
@@ -169,11 +170,15 @@ class Hinge(_Axle):
 
 class Ball(AbstractJoint):
     """A ball and its socket: the child may turn against the parent in any way. With a stiffness it is a
-    hook, which resists by the torque -stiffness times axis and angle of the turn since the bodies were
-    drawn.
+    hook, whose energy is
 
-    **Arguments**: as `AbstractJoint`; `stiffness` [force length], 0 unless said. **Raises** `ValueError`
-    for one that is negative.
+        E = [stiffness |r|^2 + (twist_stiffness - stiffness) (r . axis)^2]/2,
+
+    with r the axis times the angle of the turn since the bodies were drawn.
+
+    **Arguments**: as `AbstractJoint`; `stiffness` [force length], 0 unless said; `twist_stiffness`, of
+    turns about the axis, the same unless said; `axis`, `(3,)`. **Raises** `ValueError` for a stiffness
+    that is negative, and an axis that is zero.
 
     >>> import jax.numpy as jnp
     >>> import jaxbeads as jb
@@ -185,15 +190,34 @@ class Ball(AbstractJoint):
 
     freedoms: ClassVar[int] = 3
     stiffness: Float[Array, ""] = eqx.field(converter=float_array, default=0.0)
+    twist_stiffness: Float[Array, ""] | None = eqx.field(
+        converter=optional_float_array, default=None
+    )
+    axis: Float[Array, "3"] = eqx.field(converter=float_array, default=(1.0, 0.0, 0.0))
 
     def __check_init__(self) -> None:
         shape("stiffness", self.stiffness, ())
         non_negative("stiffness", self.stiffness)
+        if self.twist_stiffness is not None:
+            shape("twist_stiffness", self.twist_stiffness, ())
+            non_negative("twist_stiffness", self.twist_stiffness)
+        shape("axis", self.axis, (3,))
+        finite("axis", self.axis)
+        non_zero("axis", self.axis)
 
     def spin(self, t: Array, turn: Array, free: Array) -> Array:
         """Any."""
         return free
 
     def torque(self, t: Array, turn: Array) -> Array:
-        """The hook's."""
-        return -self.stiffness * quaternions.angles(turn)
+        """The hook's, -dE/dturn."""
+        if self.twist_stiffness is None:
+            return -self.stiffness * quaternions.angles(turn)
+
+        def angles(spin: Array) -> Array:
+            return quaternions.angles(turn + quaternions.rate(turn, spin))
+
+        turned, pull = jax.vjp(angles, jnp.zeros(3, turn.dtype))
+        axis = unit(self.axis)
+        twist = (self.twist_stiffness - self.stiffness) * (turned @ axis) * axis
+        return -pull(self.stiffness * turned + twist)[0]

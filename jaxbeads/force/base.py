@@ -74,9 +74,14 @@ class AbstractForce(eqx.Module):
         """Rate of change of what the force owns [1/time]."""
         return jnp.zeros_like(state.own)
 
-    def framed(self, chain: Chain) -> bool:
-        """Whether it acts along the normals of fibres in space, see `frames`."""
-        return False
+    def local(
+        self, t: Float[Array, ""], state: State, scene: Setting
+    ) -> Float[Array, "beads dim dim"] | None:
+        """Derivative of the force on each bead by the bead's own place [force/length], for a force
+        between any beads of a large scene, as contact: implicit steps of such scenes look for their way
+        with it instead of the whole derivative (and converge to the same). `None`: with the whole.
+        """
+        return None
 
     def explicit_step(self, scene: Setting) -> Float[Array, ""]:
         """Time step [time] that is safe for explicit solvers where this force is stiff: half of AB3's

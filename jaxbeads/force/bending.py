@@ -23,7 +23,6 @@ from .curvature import (
     AbstractDiscreteCurvature,
     CrossProductCurvature,
     Curvature,
-    along_normals,
     check_bending,
     curvature_at_rest,
     moments,
@@ -45,13 +44,6 @@ def _rest(name: str, intrinsic: Curvature, t: Float[Array, ""], chain: Chain, di
     if isinstance(intrinsic, jax.Array):  # no time, no arclength
         return intrinsic if intrinsic.ndim else jnp.broadcast_to(intrinsic, fibre.shape)
     return rest_at(name, intrinsic, t, chain.arclength[1:-1], chain.length[fibre], dim)
-
-
-def _framed(intrinsic: Curvature, chain: Chain) -> bool:
-    if chain.beads < 3:
-        return False
-    fibre = chain.fibre_of_bead[1:-1]
-    return along_normals(intrinsic, chain.arclength[1:-1], chain.length[fibre])
 
 
 def _bending_step(rigidity: Array, scene: Setting) -> Float[Array, ""]:
@@ -86,10 +78,10 @@ class Bending(AbstractForce):
 
     - `rigidity`: K_b [force length^2], one for all joints or one each, `(beads - 2,)`.
     - `intrinsic_curvature`: kappa_0 [1/length], one or one each. Signed in the plane; in space along
-      the present binormal, eq. (31), hence without effect on a straight joint; or along two normals
-      that belong to the fibre, `(beads - 2, 2)` (see `actuation.TwoPlanes`); or vectors
-      `(beads - 2, 3)` that keep their direction in space. For an active fibre a function
-      kappa_0(t, arclength, length) of the joints, as those of `jaxbeads.actuation`.
+      the present binormal, eq. (31), hence without effect on a straight joint; or vectors
+      `(beads - 2, 3)` that keep their direction in space. What turns with the material are the two
+      curvatures of `ElasticRod`. For an active fibre a function kappa_0(t, arclength, length) of the
+      joints, as those of `jaxbeads.actuation`.
     - `discrete_curvature`: `CrossProductCurvature()` (34) or `SineRuleCurvature()` (33).
 
     **Raises** `ValueError` for a negative rigidity, values that are not finite, or wrong shapes.
@@ -134,9 +126,13 @@ class Bending(AbstractForce):
         e, dim = tangents(state.position), state.position.shape[1]
         name = f"{type(self).__name__}.intrinsic_curvature"
         rest = _rest(name, self.intrinsic_curvature, t, chain, dim)
-        rest = oriented(rest, e[:-1], e[1:], state, chain, chain.fibre_of_bead[1:-1])
         m = moments(
-            self.rigidity, self.discrete_curvature, e[:-1], e[1:], _joint_length(chain), rest
+            self.rigidity,
+            self.discrete_curvature,
+            e[:-1],
+            e[1:],
+            _joint_length(chain),
+            oriented(rest, e[:-1], e[1:]),
         )
         return m * chain.joint_mask[:, None]
 
@@ -152,10 +148,6 @@ class Bending(AbstractForce):
         curvature at rest given as vectors.
         """
         return _energy(self, t, state, scene.chain)
-
-    def framed(self, chain: Chain) -> bool:
-        """Whether the curvature at rest is given along two normals."""
-        return _framed(self.intrinsic_curvature, chain)
 
     def check(self, chain: Chain, dim: int) -> None:
         """Shapes that fit the joints."""
@@ -211,10 +203,6 @@ class DrivingMoment(AbstractForce):
     def __init__(self, moment: Any) -> None:
         self.moment = curvature_at_rest(moment)
 
-    def framed(self, chain: Chain) -> bool:
-        """Whether the moment is given along two normals."""
-        return _framed(self.moment, chain)
-
     def check(self, chain: Chain, dim: int) -> None:
         """A shape that fits the joints."""
         joints, dtype = max(chain.beads - 2, 0), chain.radius.dtype
@@ -225,9 +213,9 @@ class DrivingMoment(AbstractForce):
         chain = scene.chain
         if chain.beads < 3:
             return Load()
-        e, fibre = tangents(state.position), chain.fibre_of_bead[1:-1]
+        e = tangents(state.position)
         m = _rest("DrivingMoment.moment", self.moment, t, chain, e.shape[1])
-        m = oriented(m, e[:-1], e[1:], state, chain, fibre)
+        m = oriented(m, e[:-1], e[1:])
         return Load(torque=_torques(-m * chain.joint_mask[:, None], chain))
 
 

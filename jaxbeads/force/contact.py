@@ -1,5 +1,6 @@
 """Contact: beads that meet and are no neighbours repel each other."""
 
+from collections.abc import Callable
 from typing import ClassVar
 
 import equinox as eqx
@@ -14,6 +15,8 @@ from ..pairs import near_sums, pair_sums, separations
 from ..setting import Setting
 from ..state import Load, State
 from .base import AbstractForce, repulsion
+
+Fields = Callable[[tuple[Array, ...], tuple[Array, ...]], list[Array]]
 
 
 class Contact(AbstractForce):
@@ -92,9 +95,38 @@ class Contact(AbstractForce):
 
     def load(self, t: Float[Array, ""], state: State, scene: Setting) -> Load:
         """Forces on the beads; but for those of a wall they sum to zero."""
-        chain = scene.chain
-        index = jnp.arange(chain.beads)
-        beads = state.position, chain.radii, index, jnp.asarray(chain.fibre_of_bead)
+        force = jnp.stack(self._sums(self._pushes(scene), state, scene), axis=1)
+        return Load(force=self.strength * (force + self._off_walls(state.position, scene)))
+
+    def local(
+        self, t: Float[Array, ""], state: State, scene: Setting
+    ) -> Float[Array, "beads dim dim"]:
+        """Derivative of the force on each bead by its own place [force/length]."""
+        dim, pushes = state.position.shape[1], self._pushes(scene)
+        units = jnp.eye(dim, dtype=state.position.dtype)
+
+        def fields(to: tuple[Array, ...], of: tuple[Array, ...]) -> list[Array]:
+            def moved(x: Array) -> list[Array]:
+                return pushes((x, *to[1:]), of)
+
+            along = (jnp.broadcast_to(unit, to[0].shape) for unit in units)
+            return [f for unit in along for f in jax.jvp(moved, (to[0],), (unit,))[1]]
+
+        pairs = jnp.stack(self._sums(fields, state, scene), axis=1)
+        walls = [
+            jax.jvp(
+                lambda x: self._off_walls(x, scene),
+                (state.position,),
+                (jnp.broadcast_to(unit, state.position.shape),),
+            )[1]
+            for unit in units
+        ]
+        return self.strength * (
+            jnp.swapaxes(pairs.reshape(-1, dim, dim), 1, 2) + jnp.stack(walls, axis=2)
+        )
+
+    def _pushes(self, scene: Setting) -> Fields:
+        """Force of each bead on each other, over the strength, component by component."""
 
         def fields(to: tuple[Array, ...], of: tuple[Array, ...]) -> list[Array]:
             d = scene.domain.nearest(separations(to[0], of[0]), 1.0)
@@ -109,18 +141,26 @@ class Contact(AbstractForce):
             push = repulsion(distance - radii, self.roughness, self.decay) / distance
             return [jnp.where(skip, 0.0, push) * x for x in d]
 
+        return fields
+
+    def _sums(self, fields: Fields, state: State, scene: Setting) -> list[Array]:
+        """Sums of fields that end at the roughness."""
+        chain = scene.chain
+        fibre = jnp.asarray(chain.fibre_of_bead)
+        beads = state.position, chain.radii, jnp.arange(chain.beads), fibre
         if isinstance(scene.domain, (Unbounded, AbstractHalfSpace)):
             reach = 2 * jnp.max(chain.radii) + self.roughness
-            sums = near_sums(fields, beads, chain.fibres, reach)
-        else:
-            sums = pair_sums(fields, beads)
-        force = jnp.stack(sums, axis=1)
-        gap = scene.domain.clearance(state.position, chain.radius)
-        if gap is not None:
-            # The way out is where the clearance grows.
-            inward = jax.grad(lambda x: jnp.sum(self._clearance(x, scene)))(state.position)
-            force = force + repulsion(gap, self.roughness, self.decay)[:, None] * inward
-        return Load(force=self.strength * force)
+            return near_sums(fields, beads, chain.fibres, reach)
+        return pair_sums(fields, beads)
+
+    def _off_walls(self, position: Array, scene: Setting) -> Array:
+        """Forces off the boundary, over the strength."""
+        gap = scene.domain.clearance(position, scene.chain.radius)
+        if gap is None:
+            return jnp.zeros_like(position)
+        # The way out is where the clearance grows.
+        inward = jax.grad(lambda x: jnp.sum(self._clearance(x, scene)))(position)
+        return repulsion(gap, self.roughness, self.decay)[:, None] * inward
 
     @staticmethod
     def _clearance(position: Array, scene: Setting) -> Array:

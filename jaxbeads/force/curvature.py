@@ -13,10 +13,7 @@ from jaxtyping import Array, Float
 from .._checks import fail, finite, non_negative
 from .._functions import curvature_of, leaf_function
 from .._typing import float_array
-from ..chain import Chain
-from ..frames import axes, normals
-from ..geometry import cross, turned, unit
-from ..state import State
+from ..geometry import cross, unit
 
 Curvature = Array | Callable[[Array, Array, Array], Array]
 """Curvature at rest: numbers, or a function of time, arclength and length (`jaxbeads.actuation`)."""
@@ -103,7 +100,7 @@ def check_bending(rigidity: Array, intrinsic: Curvature, spatial: bool) -> None:
     non_negative("rigidity", rigidity)
     if not isinstance(intrinsic, jax.Array):
         return
-    vector = spatial and intrinsic.ndim == 2 and intrinsic.shape[1] in (2, 3)
+    vector = spatial and intrinsic.ndim == 2 and intrinsic.shape[1] == 3
     if intrinsic.ndim > 1 and not vector:
         must = "be one number or one for each joint"
         fail("intrinsic_curvature", must, f"it has shape {intrinsic.shape}")
@@ -118,8 +115,8 @@ def rest_at(
     length: Float[Array, " joints"],
     dim: int,
 ) -> Array:
-    """Curvature at rest at one instant, `(joints,)`, in space also `(joints, 2)` or `(joints, 3)`; its
-    name, for what a function has wrong.
+    """Curvature at rest at one instant, `(joints,)`, in space also `(joints, 3)`; its name, for what
+    a function has wrong.
     """
     if not isinstance(intrinsic, jax.Array):
         return curvature_of(name, intrinsic, t, arclength, length, dim)
@@ -149,39 +146,12 @@ def moments(
 
 
 def oriented(
-    rest: Float[Array, " joints"] | Float[Array, "joints 2"] | Float[Array, "joints 3"],
+    rest: Float[Array, " joints"] | Float[Array, "joints 3"],
     before: Float[Array, "joints dim"],
     after: Float[Array, "joints dim"],
-    state: State,
-    chain: Chain,
-    fibre: np.ndarray,
 ) -> Float[Array, "joints spins"]:
-    """`rest` as vectors. In space one number acts along the present binormal, two along the normals of
-    the joint's `fibre` (see `frames`), turned from its end-to-end direction to the joint's, three are
-    a vector already.
-    """
-    if rest.ndim < 2:
-        sine = cross(before, after)
-        return rest[:, None] * (unit(sine) if sine.shape[1] == 3 else jnp.ones_like(sine))
-    if rest.shape[1] == 2:
-        axis, normal = axes(state.position, chain), normals(state, chain)
-        first, second = normal[fibre], jnp.cross(axis, normal)[fibre]
-        inner = rest[:, :1] * first + rest[:, 1:] * second
-        return turned(inner, axis[fibre], unit(before + after))
-    return rest
-
-
-def along_normals(
-    intrinsic: Curvature, arclength: Float[Array, " joints"], length: Float[Array, " joints"]
-) -> bool:
-    """Whether curvature at rest is given along two normals of the fibre."""
-    if isinstance(intrinsic, jax.Array):
-        size = intrinsic.shape
-    else:
-
-        def value(t: Array, s: Array, length: Array) -> Array:
-            return rest_at("intrinsic_curvature", intrinsic, t, s, length, 3)
-
-        time = jnp.zeros((), arclength.dtype)
-        size = jax.eval_shape(value, time, arclength, length).shape
-    return len(size) == 2 and size[1] == 2
+    """`rest` as vectors. In space one number acts along the present binormal; three are a vector."""
+    if rest.ndim > 1:
+        return rest
+    sine = cross(before, after)
+    return rest[:, None] * (unit(sine) if sine.shape[1] == 3 else jnp.ones_like(sine))

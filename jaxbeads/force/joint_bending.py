@@ -20,7 +20,6 @@ from .curvature import (
     AbstractDiscreteCurvature,
     Curvature,
     SineRuleCurvature,
-    along_normals,
     check_bending,
     curvature_at_rest,
     moments,
@@ -143,7 +142,7 @@ class JointBending(AbstractForce):
         else:
             name = "JointBending.intrinsic_curvature"
             rest = rest_at(name, rest, t, *_links(chain), p.shape[1])
-        rest = oriented(rest, p[:-1], p[1:], state, chain, chain.fibre_of_bead[:-1])
+        rest = oriented(rest, p[:-1], p[1:])
         m = moments(self.rigidity, self.discrete_curvature, p[:-1], p[1:], chain.bond_length, rest)
         return m * chain.bond_mask[:, None]
 
@@ -174,10 +173,6 @@ class JointBending(AbstractForce):
         push = (scale[fibre[:-1]] * profile * chain.bond_mask)[:, None] * unit(d)
         force = jnp.pad(push, ((1, 0), (0, 0))) - jnp.pad(push, ((0, 1), (0, 0)))
         return Load(force, torque)
-
-    def framed(self, chain: Chain) -> bool:
-        """Whether the curvature at rest is given along two normals."""
-        return chain.beads > 1 and along_normals(self.intrinsic_curvature, *_links(chain))
 
     def check(self, chain: Chain, dim: int) -> None:
         """Shapes that fit the joints."""

@@ -40,8 +40,8 @@ class ElasticRod(AbstractPotential):
     - `twist_rigidity`: K_t [force length^2], one or one for each bond, `(beads - 1,)`.
     - `second_rigidity`: K_2; by default K_1, an isotropic rod.
     - `intrinsic_curvature`, `second_curvature`: kappa_01, kappa_02 [1/length], numbers or functions
-      kappa_0(t, arclength, length) as those of `jaxbeads.actuation`: waves in two planes that turn with
-      the material.
+      kappa_0(t, arclength, length) as those of `jaxbeads.actuation`: an active rod, whose waves turn
+      with the material. Two equal ones a quarter of a period apart are a helical wave.
     - `intrinsic_twist`: tau_0 [1/length], one or one for each bond. At rest the rod is a helix of radius
       kappa_0/(kappa_0^2 + tau_0^2) and pitch 2 pi tau_0/(kappa_0^2 + tau_0^2).
 

@@ -1,10 +1,12 @@
 """A bacterium: a head and a helix, with a motor between them."""
 
+import jax
 import numpy as np
 
-from .._checks import positive
+from .. import quaternions
+from .._checks import non_negative, positive
 from ..assembly import Assembly
-from ..body import Motor, helix, sphere
+from ..body import Motor, fibre, helix, sphere
 from ..locomotion import motion
 from ..solution import Solution
 from .case import SAMPLES, AssemblyCase, ReadyMade, Value
@@ -20,19 +22,24 @@ def bacterium(
     radius: float = 3.0,
     pitch: float = 14.0,
     turns: float = 3.0,
+    flexible: float = 0.0,
     *,
     thickness: float = 1.0,
     viscosity: float = 1.0,
     rate: float = 1.0,
 ) -> AssemblyCase:
-    """A bacterium: a spherical head and a rigid helix of touching beads, which a motor spins against one
+    """A bacterium: a spherical head and a helix of touching beads, which a motor spins against one
     another, for three turns of the helix in space, without force or torque on the whole.
 
     The helix begins at a distance a from the head's surface. Nothing changes in its frame, since the
-    head is a sphere; so the path is a helix, along the axis of the helix' spin.
+    head is a sphere; so the path is a helix, along the axis of the helix' spin. A flexible helix
+    (`body.fibre`, isotropic, K_t = K_b) is at rest as a rigid one is drawn and soon turns as a whole,
+    in a shape that the load gives it; then speed and spin are those at the end.
 
     **Arguments**: radius of the head, radius and pitch of the helix, over a, that of its beads; its
-    number of turns; a [length]; mu; relative spin of the motor [1/time].
+    number of turns; M L/K_b, with M the torque of the motor of a rigid one, L the contour length of the
+    helix and K_b its bending rigidity (0: rigid): the angle by which M would bend it, were it straight;
+    a [length]; mu; relative spin of the motor [1/time].
 
     **Raises** `ValueError` for numbers that are not positive.
 
@@ -46,13 +53,21 @@ def bacterium(
         positive(name, value)
     a = thickness
     positive("thickness", a)
+    non_negative("flexible", flexible)
     ball = sphere(head * a, [-(head + 1) * a, 0.0, 0.0])
     tail = helix(radius * a, pitch * a, turns=turns, thickness=a)
-    assembly = Assembly([ball, tail], viscosity, [Motor(0, 1, axis=_X, rate=rate)])
-    spin = np.linalg.norm(motion(0.0, assembly.drawn, assembly).spin[1])
+    motor = Motor(0, 1, axis=_X, rate=rate)
+    assembly = Assembly([ball, tail], viscosity, [motor])
+    moved = motion(0.0, assembly.drawn, assembly)
+    spin = np.linalg.norm(moved.spin[1])
     ts = np.linspace(0, _TURNS * 2 * np.pi / spin, _TURNS * SAMPLES + 1)
     scales = {"rate": rate, "pitch": pitch * a, "thickness": a}
-    return AssemblyCase(assembly, assembly.drawn, ts, 1e-7, scales)
+    if flexible == 0:
+        return AssemblyCase(assembly, assembly.drawn, ts, 1e-7, scales)
+    torque = moved.joint_torque[0] @ np.array(_X)
+    parts = fibre(tail, torque * 2 * a * tail.beads / flexible, first=1)
+    assembly = Assembly([ball, *parts.bodies], viscosity, [motor, *parts.joints])
+    return AssemblyCase(assembly, assembly.drawn, ts, 1e-6, scales, implicit=True)
 
 
 def _head(case: AssemblyCase, solution: Solution) -> np.ndarray:
@@ -63,15 +78,23 @@ def _head(case: AssemblyCase, solution: Solution) -> np.ndarray:
 
 def _swum(case: AssemblyCase, solution: Solution) -> dict[str, Value]:
     rate, pitch, a = (case.scales[name] for name in ("rate", "pitch", "thickness"))
-    moved = motion(0.0, case.pose, case.assembly)
+    pose = case.pose
+    if case.implicit:
+        pose = jax.tree.map(lambda x: x[-1], solution.poses)
+    moved = motion(0.0, pose, case.assembly)
+    motor = np.asarray(quaternions.matrix(pose.turn[0])) @ np.array(_X)
     axis = np.asarray(moved.spin[1] / np.linalg.norm(moved.spin[1]))
     place = np.asarray(solution.states.position)[:, 0]
-    way = (place[-1] - place[0]) @ axis
-    torque = np.asarray(moved.joint_torque)[0] @ np.array(_X)
+    speed = float((place[-1] - place[0]) @ axis) / (case.ts[-1] - case.ts[0])
+    if case.implicit:
+        middle = case.assembly.bodies[0].position[0] - case.assembly.drawn.place[0]
+        arm = np.asarray(quaternions.matrix(pose.turn[0]) @ middle)
+        speed = float((moved.velocity[0] + np.cross(moved.spin[0], arm)) @ axis)
+    torque = np.asarray(moved.joint_torque)[0] @ motor
     unit = float(case.assembly.viscosity) * a**3 * rate
     return {
-        "speed": float(way) / (case.ts[-1] - case.ts[0]) / (pitch * rate / (2 * np.pi)),
-        "head_spin": float(moved.spin[0] @ np.array(_X)) / rate,
+        "speed": speed / (pitch * rate / (2 * np.pi)),
+        "head_spin": float(moved.spin[0] @ motor) / rate,
         "motor_torque": float(torque) / unit,
     }
 
@@ -85,6 +108,7 @@ BACTERIUM = ReadyMade(
         "radius": "radius of the helix over a",
         "pitch": "pitch of the helix over a",
         "turns": "number of turns of the helix",
+        "flexible": "torque of the motor times contour length of the helix over its rigidity; 0: rigid",
     },
     _swum,
     {

@@ -124,6 +124,8 @@ class AssemblyCase(NamedTuple):
     """What results are measured by, by name."""
     kind: str = ".csv"
     """Of the file that `simulate` writes."""
+    implicit: bool = False
+    """Whether steps are implicit, as flexible bodies need them."""
 
     @property
     def scene(self) -> Scene:
@@ -145,16 +147,19 @@ class AssemblyCase(NamedTuple):
     ) -> Solution:
         """Run it with `jaxbeads.travel`: the beads over time.
 
-        **Arguments**: the one solver that there is (`Tsit5`) or `None`; tolerance, if not the case's; a
+        **Arguments**: the one solver that there is (`Tsit5`; of flexible bodies `Rosenbrock`) or `None`;
+        tolerance, if not the case's; a
         file of poses over time, see `to_csv`; `progress` is for cases of fibres.
         """
-        if solver is not None and solver.name != "Tsit5":
-            fail("solver", "be Tsit5, by which bodies are moved", f"it is {solver.name}")
+        moved_by = "Rosenbrock" if self.implicit else "Tsit5"
+        if solver is not None and solver.name != moved_by:
+            fail("solver", f"be {moved_by}, by which bodies are moved", f"it is {solver.name}")
         if solver is not None and solver.tolerance is not None:
             tolerance = float(solver.tolerance)
         begun, compiling = time.perf_counter(), CompileClock()
         tolerance = self.tolerance if tolerance is None else tolerance
-        journey = travel(self.assembly, self.pose, self.ts, tolerance=tolerance)
+        start = self.assembly, self.pose, self.ts
+        journey = travel(*start, tolerance=tolerance, implicit=self.implicit)
         if journey.code != Outcome.FINE:
             reached = int(np.isfinite(np.asarray(journey.poses.turn)).all(axis=(1, 2)).sum()) - 1
             last, sentence = float(journey.ts[reached]), Outcome(int(journey.code)).sentence

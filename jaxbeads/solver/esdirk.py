@@ -158,8 +158,9 @@ class Esdirk(diffrax.AbstractAdaptiveSolver):
         enough = _ENOUGH * jnp.asarray(tolerance, dtype)
         before = lax.stop_gradient(solver_state.multipliers)
 
-        def about(t: Array, x: Array, multipliers: Array) -> Near:
-            return near(*lax.stop_gradient((t, x, _GAMMA * h, chart, args, multipliers)))
+        def about(t: Array, x: Array, multipliers: Array, implicit: bool = True) -> Near:
+            given = lax.stop_gradient((t, x, _GAMMA * h, chart, args, multipliers))
+            return near(*given, implicit)
 
         def stage(found: tuple[Any, ...], row: Any) -> tuple[Any, None]:
             rates, multipliers, fine, products, most, close = found
@@ -184,7 +185,7 @@ class Esdirk(diffrax.AbstractAdaptiveSolver):
         rows = (_A - np.diag(np.diag(_A)), _C, np.diag(_A), _GUESSES)
         table = (jnp.arange(6), *(jnp.asarray(x, dtype) for x in rows))
         # A loop, so that a stage is compiled once.
-        close = about(t0, chart.origin, before)
+        close = about(t0, chart.origin, before, implicit=False)
         # One iteration more, after which it is known how large multipliers are.
         unknown = Unknowns(jnp.zeros_like(chart.origin), before)
         start = lax.stop_gradient(Stage(t0, chart.origin, 0 * h))

@@ -7,13 +7,12 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int, PyTree
+from jaxtyping import Array, Bool, Float, PyTree
 
+from .. import rodas
 from .._typing import with_all_digits
 from ..coordinates import AbstractCoordinates, coordinates
-from ..factors import lu, triangular_solve
 from ..instant import Solved, solved
 from ..linearise import coordinate_derivative, coordinate_rate, linearise
 from ..loops import keep
@@ -21,34 +20,6 @@ from ..scene import Scene
 from ..state import State
 from .base import AbstractSolver, CubicPath
 
-# RODAS, written for the vectors u that spare products with the Jacobian W:
-# (I - h GAMMA W) u_i = GAMMA [h f(t + ALPHA_i h, y + sum A_ij u_j) + sum C_ij u_j + h^2 DRIFT_i f_t],
-# y1 = y + sum A_6j u_j + u_6, and u_6 estimates the error.
-_GAMMA = 0.25
-_A = (
-    (),
-    (1.544,),
-    (0.9466785280815826, 0.2557011698983284),
-    (3.314825187068521, 2.896124015972201, 0.9986419139977817),
-    (1.221224509226641, 6.019134481288629, 12.53708332932087, -0.6878860361058950),
-    (1.221224509226641, 6.019134481288629, 12.53708332932087, -0.6878860361058950, 1.0),
-)
-_C = (
-    (),
-    (-5.6688,),
-    (-2.430093356833875, -0.2063599157091915),
-    (-0.1073529058151375, -9.594562251023355, -20.47028614809616),
-    (7.496443313967647, -10.24680431464352, -33.99990352819905, 11.70890893206160),
-    (
-        8.083246795921522,
-        -7.981132988064893,
-        -31.52159432874371,
-        16.31930543123136,
-        -6.058818238834054,
-    ),
-)
-_ALPHA = (0.0, 0.386, 0.21, 0.63, 1.0, 1.0)
-_DRIFT = (0.25, -0.1043, 0.1035, -0.0362, 0.0, 0.0)
 # Between the ends, y(t + s h) = y + s [y1 - y + (1 - s) (D_1 u + s D_2 u)].
 _DENSE = (
     (
@@ -68,11 +39,6 @@ _DENSE = (
         0.0,
     ),
 )
-
-
-def _square(rows: tuple[tuple[float, ...], ...]) -> np.ndarray:
-    return np.array([(*row, *[0.0] * (len(rows) - len(row))) for row in rows])
-
 
 _SINGULAR: Any = diffrax.RESULTS.singular
 """The result where the linearisation at the start of a step is not finite: none smaller mends it."""
@@ -116,7 +82,7 @@ class Rodas(diffrax.AbstractAdaptiveSolver):
         """One step from t0 to t1."""
         chart, h = coordinates(args, y0), t1 - t0
         us, finite = _stages(t0, h, chart, args)[:2]
-        x1 = jnp.asarray(_A[5], us.dtype) @ us[:5] + us[5]
+        x1 = jnp.asarray(rodas.A[5, :5], us.dtype) @ us[:5] + us[5]
         y1, other = chart.state(x1), chart.state(x1 - us[5])
         error = jax.tree.map(lambda a, b: a - b, y1, other)
         bend = jnp.asarray(_DENSE, us.dtype) @ us
@@ -156,39 +122,20 @@ class Rosenbrock(AbstractSolver):
         return Rodas()
 
 
-class _Factor(NamedTuple):
-    """I - h W/4 = D L U D^-1, rows in an order, with D of the coordinates' units."""
-
-    matrix: Float[Array, "n n"]
-    order: Int[Array, " n"]
-    units: Float[Array, " n"]
-
-    def solve(self, rhs: Array) -> Array:
-        """(I - h W/4)^-1 rhs."""
-        below = triangular_solve(self.matrix, (rhs / self.units)[self.order], lower=True, unit=True)
-        return self.units * triangular_solve(self.matrix, below, lower=False)
-
-    def transpose_solve(self, rhs: Array) -> Array:
-        """(I - h W/4)^-T rhs."""
-        above = triangular_solve(self.matrix, rhs * self.units, lower=False, transposed=True)
-        found = triangular_solve(self.matrix, above, lower=True, unit=True, transposed=True)
-        return found[jnp.argsort(self.order)] / self.units
-
-
 class _Stages(NamedTuple):
     """Of one step."""
 
     us: Float[Array, "stages n"]
     finite: Bool[Array, ""]
     """Whether the linearisation is."""
-    factor: _Factor
+    factor: rodas.Factor
     instants: Solved
     """The stages', stacked. Like the factor a constant to all derivatives."""
 
 
 def _rows(dtype: Any) -> tuple[Array, ...]:
     """For each stage its number, and A, C, ALPHA, DRIFT."""
-    table = _square(_A), _square(_C), _ALPHA, _DRIFT
+    table = rodas.A, rodas.C, rodas.ALPHA, rodas.DRIFT
     return (jnp.arange(6), *(jnp.asarray(row, dtype) for row in table))
 
 
@@ -205,9 +152,7 @@ def _solved(t0: Array, h: Array, chart: AbstractCoordinates, scene: Scene) -> _S
     jacobian, slope = about.jacobian(), about.time_derivative
     # In units of their own: the pivots of lengths and angles must not depend on the unit of length.
     units = chart.units
-    scaled = jacobian * ((h * _GAMMA / units)[:, None] * units[None, :])
-    matrix, order = lu(jnp.eye(len(x0), dtype=x0.dtype) - scaled)
-    factor = _Factor(matrix, order, units)
+    factor = rodas.factorised(jacobian, h, units)
     drift = h * h * slope
 
     def stage(us: Array, row: tuple[Array, ...]) -> tuple[Array, Solved]:
@@ -215,10 +160,11 @@ def _solved(t0: Array, h: Array, chart: AbstractCoordinates, scene: Scene) -> _S
         t, x = t0 + alpha * h, a @ us
         known = solved(t, chart.state(x), scene)
         f = coordinate_rate(t, x, chart, scene, known)
-        return us.at[index].set(factor.solve(_GAMMA * (h * f + c @ us + weight * drift))), known
+        rhs = rodas.GAMMA * (h * f + c @ us + weight * drift)
+        return us.at[index].set(factor.solve(rhs)), known
 
     us = jnp.zeros((6, len(x0)), x0.dtype)
-    us = us.at[0].set(factor.solve(_GAMMA * (h * about.rate + _DRIFT[0] * drift)))
+    us = us.at[0].set(factor.solve(rodas.GAMMA * (h * about.rate + rodas.DRIFT[0] * drift)))
     # A loop, so that the rate is compiled once.
     us, later = lax.scan(stage, us, jax.tree.map(lambda x: x[1:], _rows(x0.dtype)))
     instants = jax.tree.map(lambda x, y: jnp.concatenate([x[None], y]), about.known, later)
@@ -243,12 +189,12 @@ def _stages_jvp(primals: Any, tangents: Any) -> tuple[_Stages, _Stages]:
 
     def along(t0: Array, h: Array, chart: AbstractCoordinates, scene: Scene) -> Array:
         """G, all stages."""
-        shifts = h * jnp.asarray(_DRIFT, x0.dtype), us
+        shifts = h * jnp.asarray(rodas.DRIFT, x0.dtype), us
         return jax.vmap(lambda s: coordinate_derivative(t0, chart, scene, first, s))(shifts)
 
     def implicit(u: Array) -> Array:
         """(I - h W/4) u."""
-        return u - h * _GAMMA * coordinate_derivative(t0, chart, scene, first, (0 * t0, u))
+        return u - h * rodas.GAMMA * coordinate_derivative(t0, chart, scene, first, (0 * t0, u))
 
     def solve(rhs: Array) -> Array:
         return lax.custom_linear_solve(
@@ -270,7 +216,7 @@ def _stages_jvp(primals: Any, tangents: Any) -> tuple[_Stages, _Stages]:
 
         f, f_moved = eqx.filter_jvp(rate, (a @ us, *primals), (a @ moved, *tangents))
         rhs = longer * f + h * f_moved + c @ moved + fixed
-        return moved.at[index].set(solve(_GAMMA * rhs)), None
+        return moved.at[index].set(solve(rodas.GAMMA * rhs)), None
 
     moved, _ = lax.scan(stage, jnp.zeros_like(us), (_rows(x0.dtype), fixed, instants))
     constant = jax.tree.map(lambda _: None, (factor, instants))
