@@ -50,6 +50,10 @@ class AbstractPart(abc.ABC):
         """Of each of these numbers the fibre that it belongs to; -1: none."""
         return np.full(self.size(value), -1)
 
+    def beads(self, value: Any, chain: Chain) -> np.ndarray:
+        """Of each of these numbers the bead that it belongs to; -1: none."""
+        return np.full(self.size(value), -1)
+
     def retract(
         self,
         start: State,
@@ -85,6 +89,10 @@ class _Directors(AbstractPart):
         """That of the bead."""
         return chain.fibre_of_bead.repeat(value.shape[1])
 
+    def beads(self, value: Any, chain: Chain) -> np.ndarray:
+        """A vector of each."""
+        return np.arange(chain.beads).repeat(value.shape[1])
+
     def rate(self, value: Any, state: State, motion: Motion, chain: Chain) -> Array:
         """w x p."""
         if motion.spin is None:
@@ -110,6 +118,10 @@ class _Frames(AbstractPart):
     def fibres(self, value: Any, chain: Chain) -> np.ndarray:
         """That of the bead."""
         return chain.fibre_of_bead
+
+    def beads(self, value: Any, chain: Chain) -> np.ndarray:
+        """An angle of each."""
+        return np.arange(chain.beads)
 
     def rate(self, value: Any, state: State, motion: Motion, chain: Chain) -> Array:
         """With the fibre and the beads' spins about it, see `material`."""

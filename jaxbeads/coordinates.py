@@ -39,12 +39,23 @@ class AbstractCoordinates(eqx.Module):
     @property
     def fibres(self) -> np.ndarray:
         """Of each number the fibre that it belongs to; -1: none. Shape `(numbers,)`."""
+        dim, chain = self.start.position.shape[1], self.chain
+        kept = carried.parts(self.start, self.besides)
+        others = [part.fibres(getattr(self.start, part.name), chain) for part in kept]
+        at = self._bead_of_direction
+        turns = np.where(at < 0, -1, chain.fibre_of_bead[at])
+        return np.concatenate([self._of_points.repeat(dim), turns.repeat(dim - 1), *others])
+
+    @property
+    def beads(self) -> np.ndarray:
+        """Of each number the bead that it belongs to, or the bead before its bond; -1: none. Shape
+        `(numbers,)`.
+        """
         dim = self.start.position.shape[1]
         kept = carried.parts(self.start, self.besides)
-        others = [part.fibres(getattr(self.start, part.name), self.chain) for part in kept]
-        return np.concatenate(
-            [self._of_points.repeat(dim), self._of_directions.repeat(dim - 1), *others]
-        )
+        others = [part.beads(getattr(self.start, part.name), self.chain) for part in kept]
+        points, turns = self._bead_of_point, self._bead_of_direction
+        return np.concatenate([points.repeat(dim), turns.repeat(dim - 1), *others])
 
     @property
     @abc.abstractmethod
@@ -52,8 +63,13 @@ class AbstractCoordinates(eqx.Module):
         """The fibre of each point."""
 
     @property
-    def _of_directions(self) -> np.ndarray:
-        """The fibre of each direction; -1: none."""
+    @abc.abstractmethod
+    def _bead_of_point(self) -> np.ndarray:
+        """The bead of each point; -1: none."""
+
+    @property
+    def _bead_of_direction(self) -> np.ndarray:
+        """The bead of each direction, or the bead before its bond; -1: none."""
         return np.zeros(0, int)
 
     @abc.abstractmethod
@@ -144,6 +160,10 @@ class BeadCoordinates(AbstractCoordinates):
     def _of_points(self) -> np.ndarray:
         return self.chain.fibre_of_bead
 
+    @property
+    def _bead_of_point(self) -> np.ndarray:
+        return np.arange(self.chain.beads)
+
     def state(self, x: Float[Array, " numbers"]) -> State:
         """The state at x."""
         points, _, others = self._split(x)
@@ -196,10 +216,13 @@ class ChainCoordinates(AbstractCoordinates):
         return np.arange(len(self.chain.fibres))
 
     @property
-    def _of_directions(self) -> np.ndarray:
-        fibre = self.chain.fibre_of_bead
-        bonds = len(self.direction) < len(fibre)
-        return np.where(self.chain.bond_mask, fibre[:-1], -1) if bonds else fibre
+    def _bead_of_point(self) -> np.ndarray:
+        return np.full(len(self.chain.fibres), -1)
+
+    @property
+    def _bead_of_direction(self) -> np.ndarray:
+        bead = np.arange(len(self.direction))
+        return np.where(self.chain.bond_mask, bead, -1) if len(bead) < self.chain.beads else bead
 
     def state(self, x: Float[Array, " numbers"]) -> State:
         """The state at x."""

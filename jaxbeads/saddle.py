@@ -91,6 +91,12 @@ def _chained(
     return None, 0
 
 
+def chained_rows(t: Time, state: State, scene: Scene) -> tuple[int, int]:
+    """Rows of the chain constraint, from and to."""
+    constraint, first = _chained(t, state, scene)
+    return first, first if constraint is None else first + _size(t, state, scene, constraint)
+
+
 def matrix(t: Time, state: State, scene: Scene, operator: Product) -> Array:
     """S = J M J^T, its upper triangle.
 

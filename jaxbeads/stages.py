@@ -24,15 +24,17 @@ from jax import lax
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
+from . import lengthwise
 from ._typing import with_all_digits
 from .coordinates import AbstractCoordinates
-from .factors import lu, triangular_solve
-from .instant import ambient_motion, moving
+from .factors import inverse
+from .instant import ambient_motion, applied_load, moving
 from .iterations import accelerated
+from .lengthwise import Lengthwise, Maps
 from .saddle import Iterations, constraint_map, iterations
 from .scene import Scene
-from .state import Load, Motion, State, add_loads, add_motions, zero_motion
-from .windows import AbstractParts, parts
+from .state import Load, Motion, add_loads, add_motions, zero_motion
+from .windows import Windows, parts
 
 _COLUMNS = 64
 """Derivatives that are found side by side."""
@@ -67,18 +69,10 @@ class Found(NamedTuple):
     products: Int[Array, ""]
 
 
-def _load(
-    t: Array,
-    x: Array,
-    multipliers: Array,
-    chart: AbstractCoordinates,
-    scene: Scene,
-    besides: tuple[int, ...] = (),
-) -> Load:
-    """F + J^T lambda, but for some forces."""
+def _load(t: Array, x: Array, multipliers: Array, chart: AbstractCoordinates, scene: Scene) -> Load:
+    """F + J^T lambda."""
     state = chart.state(x)
-    which = (k for k in range(len(scene.forces)) if k not in besides)
-    load = add_loads(*(scene.load_of(k, t, state) for k in which))
+    load = applied_load(t, state, scene)
     if not scene.constraints:
         return load
     return add_loads(load, constraint_map(t, state, scene).pull(multipliers))
@@ -114,40 +108,36 @@ class Near(eqx.Module):
 
         W' = T (1 - M' J^T S'^-1 J) M' dF/dx
 
-    fibre by fibre, where T takes motions to rates of coordinates.
+    fibre by fibre, where T takes motions to rates of coordinates; of long fibres see `lengthwise`.
     """
 
-    t: Float[Array, ""]
-    x: Float[Array, " numbers"]
-    state: State
-    """That at x."""
-    chart: AbstractCoordinates
-    scene: Scene
+    maps: Maps
+    """T, J, M' and dF/dx."""
     ahead: Float[Array, ""]
     """g."""
-    multipliers: Float[Array, " rows"]
-    parts: AbstractParts
     system: Iterations | None
-    inverse: Float[Array, "fibres size size"] | None
+    inverse: Float[Array, "fibres size size"] | None = None
     """D^-1, in units of the coordinates."""
-    local: Float[Array, "beads dim dim"] | None
-    """Derivatives of forces between any beads (`AbstractForce.local`)."""
-    between: tuple[int, ...] = eqx.field(static=True)
-    """Which forces these are."""
+    long: Lengthwise | None = None
 
     def answer(self, off: Unknowns, implicit: Array) -> Unknowns:
         """Change of the unknowns that takes away what the equations are off."""
+        if self.long is not None:
+            return lax.cond(implicit, lambda: self._along(off), lambda: self._explicit(off))
         if self.system is None:
             return Unknowns(-self._held(off.rate, implicit, False), off.multipliers)
         pushed = -self.system.precondition(off.multipliers)
         rate = -self._held(off.rate - self._pulled(pushed), implicit, False)
         if self.inverse is not None:
-            slip = self._linear(self._stiff(jnp.where(implicit, rate, 0.0)))
+            slip = self.maps.linear(self._stiff(jnp.where(implicit, rate, 0.0)))
             pushed = pushed - self.system.precondition(slip)
         return Unknowns(rate, pushed)
 
     def transposed(self, of: Unknowns, implicit: Array) -> Unknowns:
         """The transpose of `answer`."""
+        if self.long is not None:
+            back, explicit = self._along_transposed, self._explicit_transposed
+            return lax.cond(implicit, lambda: back(of), lambda: explicit(of))
         rate, slip = of
         if self.system is None:
             return Unknowns(-self._held(rate, implicit, True), slip)
@@ -156,15 +146,30 @@ class Near(eqx.Module):
             (back,) = jax.linear_transpose(self._stiff, rate)(push)
             rate = rate - jnp.where(implicit, back, 0.0)
         rate = self._held(rate, implicit, True)
-        (motion,) = jax.linear_transpose(self._rate, self._still)(rate)
-        moved = self.parts.motion(Load(motion.velocity, motion.spin), self._still)
-        return Unknowns(-rate, -self.system.precondition(slip + self._linear(moved)))
+        (motion,) = jax.linear_transpose(self.maps.rate, self.maps.still)(rate)
+        moved = self.maps.motion(Load(motion.velocity, motion.spin))
+        slip = -self.system.precondition(slip + self.maps.linear(moved))
+        return Unknowns(-rate, slip)
+
+    def _explicit(self, off: Unknowns) -> Unknowns:
+        return eqx.tree_at(_long, self, None).answer(off, jnp.asarray(False))
+
+    def _explicit_transposed(self, of: Unknowns) -> Unknowns:
+        return eqx.tree_at(_long, self, None).transposed(of, jnp.asarray(False))
+
+    def _along(self, off: Unknowns) -> Unknowns:
+        long: Any = self.long
+        return Unknowns(*long.answer(self.maps, -off.rate, off.multipliers))
+
+    def _along_transposed(self, of: Unknowns) -> Unknowns:
+        return jax.linear_transpose(self._along, of)(of)[0]
 
     def _held(self, rate: Array, implicit: Array, transposed: bool) -> Array:
         """D^-1, or its transpose, in an implicit stage; otherwise 1."""
         if self.inverse is None:
             return rate
-        numbers, units = _numbers(self.chart), self.chart.units
+        chart = self.maps.chart
+        numbers, units = _numbers(chart), chart.units
         scale = 1 / units if transposed else units
         part = (rate / scale).at[numbers].get(mode="fill", fill_value=0.0)
         which = "fji,fj->fi" if transposed else "fij,fj->fi"
@@ -172,63 +177,45 @@ class Near(eqx.Module):
         held = (rate / scale).at[numbers].set(part, mode="drop") * scale
         return jnp.where(implicit, held, rate)
 
-    def _rate(self, motion: Motion) -> Array:
-        """T."""
-        moved = moving(self.state, motion, self.scene.chain)
-        return self.chart.rate(self.x, self.state, moved)
-
-    @property
-    def _still(self) -> Motion:
-        return zero_motion(self.state, self.scene.rotational)
-
-    def _linear(self, motion: Motion) -> Array:
-        """J V."""
-        return constraint_map(self.t, self.state, self.scene).linear(motion)
-
     def _pull_motion(self, multipliers: Array) -> Motion:
         """J^T lambda, as a motion."""
-        load = constraint_map(self.t, self.state, self.scene).pull(multipliers)
+        load = self.maps.pull(multipliers)
         return Motion(jnp.asarray(load.force), load.torque)
 
     def _pulled(self, multipliers: Array) -> Array:
         """T M' J^T lambda."""
-        load = constraint_map(self.t, self.state, self.scene).pull(multipliers)
-        return self._rate(self.parts.motion(load, self._still))
-
-    def _load(self, x: Array) -> Load:
-        """F + J^T lambda, with lambda held, as far as its derivatives are wanted."""
-        load = _load(self.t, x, self.multipliers, self.chart, self.scene, self.between)
-        if self.local is None:
-            return load
-        way = self.chart.state(x).position - self.state.position
-        return add_loads(load, Load(jnp.einsum("bij,bj->bi", self.local, way)))
+        return self.maps.rate(self.maps.motion(self.maps.pull(multipliers)))
 
     def _stiff(self, rate: Array) -> Motion:
         """g M' dF/dx k."""
-        push = jax.jvp(self._load, (self.x,), (self.ahead * rate,))[1]
-        return self.parts.motion(push, self._still)
+        push = jax.jvp(self.maps.load, (self.maps.x,), (self.ahead * rate,))[1]
+        return self.maps.motion(push)
 
     def columns(self) -> Float[Array, "fibres size size"] | None:
         """W' fibre by fibre, in units of the coordinates: derivatives by the first number of each fibre
         at once, by the second of each, and so on.
         """
-        chart, scene, numbers = self.chart, self.scene, _numbers(self.chart)
-        load, push = jax.linearize(self._load, self.x)
+        maps, chart = self.maps, self.maps.chart
+        numbers = _numbers(chart)
+        load, push = jax.linearize(maps.load, maps.x)
         if load.force is None and load.torque is None:
             return None
 
         def column(number: Array) -> Array:
-            shift = jnp.zeros_like(self.x).at[number].set(chart.units[number], mode="drop")
-            motion = self.parts.motion(push(shift), self._still)
+            shift = jnp.zeros_like(maps.x).at[number].set(chart.units[number], mode="drop")
+            motion = maps.motion(push(shift))
             if self.system is not None:
-                j = constraint_map(self.t, self.state, scene)
-                held = -self.system.precondition(j.linear(motion))
-                motion = add_motions(motion, self.parts.motion(j.pull(held), self._still))
-            return self._rate(motion) / chart.units
+                held = -self.system.precondition(maps.linear(motion))
+                motion = add_motions(motion, maps.motion(maps.pull(held)))
+            return maps.rate(motion) / chart.units
 
         found = lax.map(column, jnp.asarray(numbers.T), batch_size=_COLUMNS)
         found = found.at[:, numbers].get(mode="fill", fill_value=0.0)  # (column, fibre, row)
         return jnp.transpose(found, (1, 2, 0))
+
+
+def _long(near: Near) -> Any:
+    return near.long
 
 
 def _numbers(chart: AbstractCoordinates) -> np.ndarray:
@@ -259,34 +246,30 @@ def near(
     system = iterations(t, state, scene) if scene.constraints else None
     part = parts(state, scene.operator(state), scene.chain)
     between = tuple(k for k, f in enumerate(scene.forces) if f.local(t, state, scene) is not None)
-    found = Near(t, x, state, chart, scene, ahead, guess, part, system, None, None, between)
+    found = Near(Maps(t, x, state, chart, scene, guess, part, between), ahead, system)
+    along = isinstance(part, Windows) and _numbers(chart).shape[1] > lengthwise.MOST_NUMBERS
 
     def whole() -> Near:
+        if along and isinstance(part, Windows):
+            return dataclasses.replace(found, long=lengthwise.lengthwise(found.maps, part, ahead))
         each = [jnp.asarray(scene.forces[k].local(t, state, scene)) for k in between]
         local = jnp.sum(jnp.stack(each), axis=0) if each else None
-        stiff = dataclasses.replace(found, local=local)
+        stiff = dataclasses.replace(found, maps=dataclasses.replace(found.maps, local=local))
         columns = stiff.columns()
-        inverse = None if columns is None else lax.map(lambda w: _inverse(w, ahead), columns)
-        return dataclasses.replace(stiff, inverse=inverse)
+        if columns is None:
+            return stiff
+        unit = jnp.eye(columns.shape[1], dtype=columns.dtype)
+        held = lax.map(lambda matrix: inverse(unit - ahead * matrix), columns)
+        return dataclasses.replace(stiff, inverse=held)
 
     if implicit:
         return whole()
     shapes = eqx.filter_eval_shape(whole)
-    zeros = (jnp.zeros(x.shape, x.dtype) for x in jax.tree.leaves((shapes.local, shapes.inverse)))
-    local = next(zeros) if between else None
-    return dataclasses.replace(found, local=local, inverse=next(zeros, None))
-
-
-def _inverse(matrix: Array, ahead: Array) -> Array:
-    """(1 - g W')^-1."""
-    unit = jnp.eye(len(matrix), dtype=matrix.dtype)
-    factor, order = lu(unit - ahead * matrix)
-
-    def solve(rhs: Array) -> Array:
-        below = triangular_solve(factor, rhs[order], lower=True, unit=True)
-        return triangular_solve(factor, below, lower=False)
-
-    return jax.vmap(solve, in_axes=1, out_axes=1)(unit)
+    none = jax.tree.map(
+        lambda x: jnp.zeros(x.shape, x.dtype), (shapes.maps.local, shapes.inverse, shapes.long)
+    )
+    maps = dataclasses.replace(found.maps, local=none[0])
+    return dataclasses.replace(found, maps=maps, inverse=none[1], long=none[2])
 
 
 class _Scale(NamedTuple):

@@ -174,14 +174,14 @@ class Windows(AbstractParts):
 
     def each(self, function: Callable[[Array, Array], Any]) -> Any:
         """function(beads, weights) of each window, one after the other."""
+        return lax.map(lambda k: function(*self.window(k)), jnp.arange(self.number))
 
-        def turn(k: Array) -> Any:
-            beads = (k - 1) * HALF + jnp.arange(2 * HALF + 1)
-            there = (beads >= 0) & (beads < self.chain.beads)
-            weights = jnp.asarray(_WEIGHTS, self.state.position.dtype) * there
-            return function(jnp.clip(beads, 0, self.chain.beads - 1), weights)
-
-        return lax.map(turn, jnp.arange(self.number))
+    def window(self, k: Array) -> tuple[Array, Array]:
+        """Beads and weights of a window."""
+        beads = (k - 1) * HALF + jnp.arange(2 * HALF + 1)
+        there = (beads >= 0) & (beads < self.chain.beads)
+        weights = jnp.asarray(_WEIGHTS, self.state.position.dtype) * there
+        return jnp.clip(beads, 0, self.chain.beads - 1), weights
 
     def factor(self, t: Array, constraint: AbstractChainConstraint) -> Banded:
         """S' of a chain constraint, factorised."""

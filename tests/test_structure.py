@@ -39,7 +39,7 @@ ORDER = [
     {"coordinates", "saddle", "locomotion"},
     {"instant"},
     {"dynamics"},
-    {"loads"},
+    {"loads", "lengthwise"},
     {"linearise", "stages", "observables", "stress", "faults"},
     {"solver", "steady"},
     {"solution"},
@@ -52,6 +52,7 @@ ORDER = [
 ]
 # What the files of a sub-package may import from one another.
 SHARED = {
+    "body": {"base", "joints"},
     "solver": {"base", "watch", "tolerance"},
     "constraint": {"base", "prescribed"},
     "force": {"base", "curvature"},
