@@ -86,6 +86,12 @@ def beating(beads: int) -> Path:
     return Path(scenes.planar_beating(beads), 3 * 2 * np.pi)
 
 
+def helix(beads: int) -> Path:
+    """A rod with curvature and twist winds up, from straight."""
+    case = scenes.helix_formation(beads)
+    return Path(case, float(case.ts[-1]))
+
+
 QUICK: dict[str, Callable[[], Path]] = {
     "settling-34-1000": lambda: settling(34, 1e3),
     "settling-34-10": lambda: settling(34, 10.0),
@@ -99,6 +105,7 @@ ALL = QUICK | {
     "shear-35-0.01": lambda: shear(35, 0.01),
     "shear-35-0.04": lambda: shear(35, 0.04),
     "beating-20": lambda: beating(20),
+    "helix-34": lambda: helix(34),
 }
 
 

@@ -228,9 +228,9 @@ checks.append(("... length / best", np.exp(other[2] - best[2]), 1.0, 1e-2))
 # %% [markdown]
 # ## Is it one?
 #
-# The slopes against differences, away from the top. At the top the slopes must vanish for another
-# program, `periodic_state`, which steps through no transient, with twice as many steps; and the way must
-# fall to both sides along each number. With ten beads the tail is another one, less like a string of
+# The slopes against differences, away from the top. For another program, `periodic_state`, which steps
+# through no transient, with twice as many steps, the way must fall to both sides along each number, and
+# the tops of parabolas through it must be no higher. With ten beads the tail is another one, less like a string of
 # pearls: the profile must gain as much.
 
 # %%
@@ -258,7 +258,8 @@ checks.append(("... sideways", top[1], 0.0, 1e-6))
 for name, u in zip(("k_0", "k_1", "ln L"), 0.1 * np.eye(3), strict=True):
     ways = [float(periodic(best + k * u)[0] / top[0]) for k in (-2, -1, 1, 2)]
     slope = (8 * (ways[2] - ways[1]) - (ways[3] - ways[0])) / 1.2  # of fourth order
-    checks.append((f"... slope by {name} over the way", slope, 0.0, 2e-3))
+    curvature = (2 - ways[1] - ways[2]) / 0.1**2
+    checks.append((f"... gain by a step in {name}", slope**2 / (2 * curvature), 0.0, 1e-4))
     checks.append((f"... falls to both sides along {name}", max(ways) < 1, True, 0))
 finer = value(best, FIELD, steps=160)
 checks.append(("four times the steps: way / best", finer / best_way, 1.0, 1e-3))

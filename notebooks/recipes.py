@@ -771,3 +771,19 @@ jaxbeads.plot.shapes(journey.solution(bacterium), bacterium.chain)
 print("motor's torque:", moved.joint_torque[0, 0], "speed:", speed)
 assert abs(jnp.linalg.norm(way) / (journey.ts[-1] * speed) - 1) < 1e-5  # over two turns of the tail
 assert jnp.abs(moved.load.force.sum(axis=0)).max() < 1e-12 * moved.joint_torque[0, 0]
+
+# %% [markdown]
+# ### How do I give a body a flexible tail?
+#
+# `jb.body.fibre` makes a row of bodies with elastic joints, a bead each, of any shape, which it has at
+# rest: bodies and joints go into the `Assembly` with the others. Joints are stiff, so take implicit
+# steps. (`jb.scenes.bacterium(flexible=...)` is this one.)
+
+# %%
+rigidity = 50.0 * moved.joint_torque[0, 0]
+soft = jb.body.fibre(tail, rigidity, twist_rigidity=2 / 3 * rigidity, first=1)
+bacterium = jb.Assembly([head, *soft.bodies], 1.0, joints=[motor, *soft.joints])
+journey = jb.travel(bacterium, bacterium.drawn, [0.0, 5.0, 10.0], implicit=True)
+bent = jnp.linalg.norm(jb.quaternions.angles(journey.poses.turn[:, 2:]), axis=-1)  # at each joint
+print("largest bend of a joint:", bent.max(axis=1))
+assert jnp.abs(bent[2] - bent[1]).max() < 1e-3 * bent[1].max()  # it turns as a whole by now
