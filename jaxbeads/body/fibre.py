@@ -52,7 +52,7 @@ def fibre(shape: Body, rigidity: Any, twist_rigidity: Any = None, first: int = 0
     >>> motor = jb.body.Motor(0, 1, axis=[1.0, 0.0, 0.0])
     >>> bacterium = jb.Assembly([head, *tail.bodies], 1.0, [motor, *tail.joints])
     >>> print(bacterium.beads, bacterium.unknowns)  # 6 of the head, 3 of each joint
-    13 39
+    12 36
     """
     kind("shape", shape, Body)
     if shape.beads < 2:

@@ -52,7 +52,7 @@ def spiral(
     >>> from jaxbeads import scenes
     >>> case = scenes.spiral(beads=4)
     >>> rod = case.scene.forces[0]
-    >>> print(case.state.position.shape, (rod.twist_rigidity / rod.rigidity).round(4))
+    >>> print(case.state.position.shape, f"{rod.twist_rigidity / rod.rigidity:.4f}")
     (4, 3) 0.6667
     """
     whole("beads", beads, 4)
