@@ -152,9 +152,9 @@ def periodic_state(
     if turning and not moving:
         fail("turning", "be False for a shape that does not move", "it is True")
     ts = jnp.stack([jnp.asarray(t, float), jnp.asarray(t, float) + period])
+    equal = _equal_steps(scene, solver, substeps)
     if turning and known((scene, state, ts)):
         _refuse_directions(ts, state, scene)
-    equal = _equal_steps(scene, solver, substeps)
     problem = Problem(scene, ts, state)
     accurate = jnp.asarray(accuracy)
     found, last = _solve(problem, moving, turning, equal, accurate, max_steps)

@@ -232,7 +232,8 @@ def _near_rate(t: Array, x: Array, pose: Pose, assembly: Assembly) -> Array:
     """Rate of change of x."""
     moving = turning(t, _near(pose, x), assembly)
     turns = x[pose.place.size :].reshape(-1, 3)
-    back = pose.turn * np.array([[1.0, -1.0, -1.0, -1.0]]) / jnp.sum(pose.turn**2, 1, keepdims=True)
+    conjugate = jnp.asarray([[1.0, -1.0, -1.0, -1.0]], pose.turn.dtype)
+    back = pose.turn * conjugate / jnp.sum(pose.turn**2, 1, keepdims=True)
     change = quaternions.product(moving.turn, back)
     turns = 2 * change[:, 1:] - change[:, :1] * turns
     return jnp.concatenate([moving.place.ravel(), turns.ravel()])

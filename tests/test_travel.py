@@ -239,3 +239,15 @@ def test_many_implicit_paths_at_once():
 
     rigidities = jnp.array([5.0, 50.0])
     assert np.allclose(jax.vmap(end)(rigidities), [end(k) for k in rigidities], atol=1e-9)
+
+
+def test_implicit_steps_in_single_precision():
+    def single(tree):
+        return jax.tree.map(lambda x: x.astype(jnp.float32), tree)
+
+    assembly, ts = flexible(4, flow=FLOW), jnp.array([0.0, 1.0])
+    exact = jb.travel(assembly, assembly.drawn, ts, tolerance=1e-4, implicit=True)
+    start = single(assembly), single(assembly.drawn), ts.astype(jnp.float32)
+    found = jb.travel(*start, tolerance=1e-4, implicit=True)
+    assert found.code == 0 and found.final.turn.dtype == jnp.float32
+    assert np.abs(found.final.turn - exact.final.turn).max() < 1e-3

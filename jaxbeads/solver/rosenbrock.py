@@ -164,7 +164,8 @@ def _solved(t0: Array, h: Array, chart: AbstractCoordinates, scene: Scene) -> _S
         return us.at[index].set(factor.solve(rhs)), known
 
     us = jnp.zeros((6, len(x0)), x0.dtype)
-    us = us.at[0].set(factor.solve(rodas.GAMMA * (h * about.rate + rodas.DRIFT[0] * drift)))
+    first = h * about.rate + float(rodas.DRIFT[0]) * drift
+    us = us.at[0].set(factor.solve(rodas.GAMMA * first))
     # A loop, so that the rate is compiled once.
     us, later = lax.scan(stage, us, jax.tree.map(lambda x: x[1:], _rows(x0.dtype)))
     instants = jax.tree.map(lambda x, y: jnp.concatenate([x[None], y]), about.known, later)
