@@ -491,7 +491,7 @@ WAVE = TravellingWave(0.3, 0.4, 1.5, 0.2)
         (WAVE, 2),
         (FourierCurvature([[0.1, 0.2], [0.3, 0.1]], [[0.0, 0.1], [0.0, -0.2]], 0.7), 2),
         (WAVE, 3),
-        (lambda t, s, length: WAVE(t, s, length)[:, None] * np.array([0.6, 0.0, 0.8]), 3),
+        (lambda t, s, length: WAVE(t, s, length)[:, None] * np.array([[0.6, 0.0, 0.8]]), 3),
     ],
     ids=["travelling", "fourier", "along the binormal", "vectors"],
 )
