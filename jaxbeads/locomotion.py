@@ -244,6 +244,20 @@ def _outer(t: Array, assembly: Assembly, position: Array, frames: Frames) -> _Ou
     return _Outer(add_loads(*loads), on_bodies.force, on_bodies.torque)
 
 
+def given(t: Array, pose: Pose, assembly: Assembly) -> Any:
+    """All that is given at a time: motions and torques of joints, loads from outside, the flow."""
+    frames = assembly.frames(pose)
+    position = assembly.positions(frames)
+    none = jnp.zeros(assembly.unknowns, position.dtype)
+    flow = assembly.flow
+    return (
+        assembly.twists(t, pose, frames, none),
+        assembly.joint_torques(t, pose, frames),
+        _outer(t, assembly, position, frames),
+        None if flow is None else jax.vmap(lambda x: flow.velocity(t, x))(position),
+    )
+
+
 def _solved(
     t: Array, pose: Pose, assembly: Assembly, frames: Frames
 ) -> tuple[Array, Array, _Vectors, _Outer, Array]:

@@ -189,6 +189,10 @@ def _difference(ts: Array, state: State, scene: Scene) -> Array:
         found, change = jax.jvp(lambda s: rate(t, s, scene), (state,), (turning,))
         same = carried.turned(found, matrix).position
         size = jnp.max(jnp.abs(change.position)) + jnp.max(jnp.abs(same))
+        # Where shapes are stiff, what a turn changes is known to the rounding of what a bend does.
+        bend = jax.tree.map(lambda v: jnp.cos(jnp.arange(v.size)).reshape(v.shape) * v, turning)
+        stiff = jax.jvp(lambda s: rate(t, s, scene), (state,), (bend,))[1].position
+        size = size + jnp.finfo(size.dtype).eps ** 0.5 * jnp.max(jnp.abs(stiff))
         return jnp.max(jnp.abs(change.position - same)), size
 
     times = ts[0] + jnp.array([0.0, 0.14, 0.43, 0.81], ts.dtype) * (ts[1] - ts[0])

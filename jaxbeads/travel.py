@@ -22,10 +22,12 @@ from ._checks import fail, finite, increasing, kind, known, positive, shape, who
 from ._typing import float_array, with_all_digits
 from .assembly import Assembly, Pose
 from .geometry import norm, unit
-from .locomotion import turning
+from .locomotion import given, turning
 from .loops import linked, loop
 from .outcome import Outcome
+from .programs import reached
 from .solution import Solution, name_number
+from .solver.watch import Watch
 from .state import State
 
 __all__ = ["Journey", "travel"]
@@ -75,13 +77,9 @@ class Journey(eqx.Module):
             return assembly.positions(assembly.frames(pose))
 
         states = jax.vmap(lambda pose: State(position(pose)))(self.poses)
-        none, method = (
-            jnp.zeros_like(self.ts),
-            name_number("Rosenbrock" if self.implicit else "Tsit5"),
-        )
-        return Solution(
-            self.ts, states, self.steps, self.code, None, none, method=method, poses=self.poses
-        )
+        none, name = jnp.zeros_like(self.ts), "Rosenbrock" if self.implicit else "Tsit5"
+        numbers = self.ts, states, self.steps, self.code, None, none
+        return Solution(*numbers, method=name_number(name), poses=self.poses)
 
 
 def travel(
@@ -106,9 +104,12 @@ def travel(
     - `tolerance`: largest error of a step, as a fraction of the longest body's length and in radians.
     - `step`: length of the first step [time]; by default one in which little moves.
     - `max_steps`: the most steps between two times.
-    - `implicit`: whether steps are linearly implicit, those of `Rosenbrock`. Each costs a hundred times
-      an explicit one, but joints may be as stiff as they like: take them for flexible fibres
-      (`body.fibre`).
+    - `implicit`: whether steps are linearly implicit, those of `Rosenbrock`. They cost more, but joints
+      may be as stiff as they like: take them for flexible fibres (`body.fibre`).
+
+    Steps end where laws of time decide (`jnp.where`, `jnp.floor`, ...), however short a pulse is. A
+    smooth one that is much shorter than a step may be missed: save times near it. Draw bodies near the
+    origin of their frame and place them by the pose: what is drawn far away needs short steps.
 
     **Returns** a `Journey`. **Raises** `ValueError` for input that does not fit.
 
@@ -281,15 +282,42 @@ def _unfinished(now: Any, fixed: Any) -> Array:
     return (carry.t < fixed[1]) & (carry.code == Outcome.FINE)
 
 
+def _span(carry: _Carry, t1: Array, assembly: Assembly) -> tuple[Array, Array, Array, Array]:
+    """Where a step begins, its length, where the next one begins, and whether it is shorter than it
+    might be: it ends at t1, and just before laws of time switch, as steps of `rollout` do.
+    """
+    left = t1 - carry.t
+    last = carry.step >= left
+    h = jnp.where(last, left, carry.step)
+    end = jnp.where(last, t1, carry.t + h)
+    held, pose, until, bodies = lax.stop_gradient((carry.t, carry.pose, end, assembly))
+    if (timed := _timed(bodies, pose, held)) is None:
+        return carry.t, h, end, last
+    watch: Any = Watch(bodies.scene, pose, timed, None)
+    begun, _ = watch.begin(held)
+    before, after = watch.end(begun, until, until - begun)
+    cut = before < until
+    t0 = jnp.where(begun > held, begun, carry.t)
+    h = jnp.where(cut, before - t0, end - t0)
+    return t0, h, jnp.where(cut, after, end), last | cut
+
+
+def _timed(assembly: Assembly, pose: Pose, t: Array) -> Any:
+    """What laws of time say of bodies that stay where they are; `None` without such laws."""
+
+    def acting(t: Array, pose: Pose) -> list[Array]:
+        return jax.tree.leaves(given(t, pose, assembly))
+
+    return acting if any(reached(lambda t: acting(t, pose), t)) else None
+
+
 @with_all_digits
 def _attempted(now: Any, fixed: Any) -> Any:
     """One step, kept or not."""
     (count, carry), (assembly, t1, tolerance, size, implicit) = now, fixed
-    left = t1 - carry.t
-    last = carry.step >= left
-    h = jnp.where(last, left, carry.step)
+    t0, h, end, cut = _span(carry, t1, assembly)
     stepped = _implicit if implicit else _stepped
-    pose, error = stepped(carry.t, h, carry.pose, assembly)
+    pose, error = stepped(t0, h, carry.pose, assembly)
     wrong = lax.stop_gradient(_amount(error, size) / tolerance)
     good = jnp.all(jnp.isfinite(pose.turn)) & jnp.all(jnp.isfinite(pose.place))
     outside = assembly.scene.outside(State(assembly.positions(assembly.frames(pose))))
@@ -299,10 +327,10 @@ def _attempted(now: Any, fixed: Any) -> Any:
     keep = wrong <= 1
     factor = jnp.clip(0.9 * jnp.maximum(wrong, 1e-10) ** (-1 / _ORDERS[implicit]), 0.2, 5.0)
     # A step that was shortened to end at a time says little about how long the next one may be.
-    following = jnp.where(keep & last, jnp.maximum(carry.step, h * factor), h * factor)
+    following = jnp.where(keep & cut, jnp.maximum(carry.step, h * factor), h * factor)
     following = lax.stop_gradient(following)
     stuck = ~keep & (carry.t + following <= carry.t)
     code = jnp.where(stuck, Outcome.GAVE_UP, carry.code)
-    new, old = (jnp.where(last, t1, carry.t + h), pose), (carry.t, carry.pose)
+    new, old = (end, pose), (carry.t, carry.pose)
     t, pose = jax.tree.map(lambda new, old: jnp.where(keep, new, old), new, old)
     return count + 1, _Carry(t, following, pose, code)

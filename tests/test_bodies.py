@@ -497,6 +497,10 @@ def test_fibres_that_cannot_be_are_refused():
         ((sphere(1.0), 1.0), "Argument `shape` must hold two beads at least, but it holds one."),
         ((rod(4), [1.0, 2.0]), "Argument `rigidity` must have shape () or (3,)"),
         ((rod(4), 1.0, -1.0), "Argument `twist_rigidity` must"),
+        (
+            (rod(2) + rod(1, 1.0, [1.0, 0.0, 0.0]), 1.0),
+            "Argument `shape` must hold no two neighbours",
+        ),
     ):
         with pytest.raises(ValueError) as error:
             jb.body.fibre(*arguments)

@@ -193,3 +193,17 @@ def test_turns_that_make_a_difference_are_refused(what):
         scene, state = jb.Scene(chain, 1.0, **given), bent
     with pytest.raises(ValueError, match="`turning` must be False where a turn of the whole"):
         periodic_state(scene, state, period, substeps=10)
+
+
+def test_stiff_shapes_may_turn_but_for_what_sets_a_direction():
+    # Rounding of what stiff bending does, here 1e-16 K, is no direction; a small weight is one.
+    chain, wave = jb.Chain(1.0, 6), jb.actuation.TravellingWave(1e-13, 0.3, 1.0)
+    bending, ts = jb.force.Bending(1e12, wave), jnp.array([0.0, 1.0])
+    for forces, turns in (([bending], True), ([bending, jb.force.Weight([0.0, -0.1])], False)):
+        scene = jb.Scene(chain, 1.0, constraints=[jb.constraint.Gears()], forces=forces)
+        state = straight(chain, [0.6, -0.8])
+        if turns:
+            jb.periodic._refuse_directions(ts, state, scene)
+        else:
+            with pytest.raises(ValueError, match="`turning` must be False"):
+                jb.periodic._refuse_directions(ts, state, scene)

@@ -251,3 +251,24 @@ def test_implicit_steps_in_single_precision():
     found = jb.travel(*start, tolerance=1e-4, implicit=True)
     assert found.code == 0 and found.final.turn.dtype == jnp.float32
     assert np.abs(found.final.turn - exact.final.turn).max() < 1e-3
+
+
+@pytest.mark.parametrize("implicit", [False, True])
+@pytest.mark.parametrize("begin", [0.0, 1e6])
+def test_laws_that_jump_are_met(implicit, begin):
+    # A pulse a hundred times as short as the run, and a jump: turns of a held body are their integrals.
+    def pulse(t):
+        return jnp.where((t > begin + 0.5) & (t < begin + 0.502), 300.0, 0.0)
+
+    def jump(t):
+        return jnp.where(t < begin + 0.4321, 1.0, -2.0)
+
+    torque = 8 * np.pi * jnp.array([[0.0, 0.0, 1.0]])
+    for given, expected in ((pulse, 0.6), (jump, 0.4321 - 2 * 0.5679)):
+        turned = jb.Assembly([rod(2)], 1.0, [Motor(None, 0, axis=[0.0, 0.0, 1.0], rate=given)])
+        pushed = jb.Assembly([sphere(1.0)], 1.0, torque=lambda t, given=given: given(t) * torque)
+        for assembly in (turned, pushed):
+            ts = begin + np.array([0.0, 1.0])
+            journey = jb.travel(assembly, assembly.drawn, ts, implicit=implicit)
+            angle = jb.quaternions.angles(journey.final.turn)[0, 2]
+            assert journey.code == 0 and abs(angle - expected) < 1e-5

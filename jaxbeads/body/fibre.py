@@ -3,8 +3,9 @@
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 
-from .._checks import fail, kind, non_negative, whole
+from .._checks import fail, kind, known, non_negative, whole
 from .._checks import shape as check_shape
 from .._typing import float_array
 from ..geometry import norm
@@ -66,6 +67,9 @@ def fibre(shape: Body, rigidity: Any, twist_rigidity: Any = None, first: int = 0
         non_negative(name, value)
     bond = shape.position[1:] - shape.position[:-1]
     length = norm(bond)
+    if known(length) and not np.all(np.asarray(length) > 0):
+        bead = int(np.argmin(np.asarray(length)))
+        fail("shape", "hold no two neighbours in one place", f"beads {bead} and {bead + 1} are")
     ahead = (length + radii[:-1] - radii[1:]) / (2 * length)
     points = shape.position[:-1] + ahead[:, None] * bond
     bending, twisting = (jnp.broadcast_to(x, (bonds,)) / length for x in (rigidity, twisting))

@@ -78,18 +78,13 @@ def _head(case: AssemblyCase, solution: Solution) -> np.ndarray:
 
 def _swum(case: AssemblyCase, solution: Solution) -> dict[str, Value]:
     rate, pitch, a = (case.scales[name] for name in ("rate", "pitch", "thickness"))
-    pose = case.pose
-    if case.implicit:
-        pose = jax.tree.map(lambda x: x[-1], solution.poses)
+    pose = jax.tree.map(lambda x: x[-1], solution.poses)
     moved = motion(0.0, pose, case.assembly)
     motor = np.asarray(quaternions.matrix(pose.turn[0])) @ np.array(_X)
     axis = np.asarray(moved.spin[1] / np.linalg.norm(moved.spin[1]))
-    place = np.asarray(solution.states.position)[:, 0]
-    speed = float((place[-1] - place[0]) @ axis) / (case.ts[-1] - case.ts[0])
-    if case.implicit:
-        middle = case.assembly.bodies[0].position[0] - case.assembly.drawn.place[0]
-        arm = np.asarray(quaternions.matrix(pose.turn[0]) @ middle)
-        speed = float((moved.velocity[0] + np.cross(moved.spin[0], arm)) @ axis)
+    # The shape is steady in the frame of its tail, so that one instant says all.
+    arm = np.asarray(quaternions.matrix(pose.turn[0]) @ case.assembly.bodies[0].position[0])
+    speed = float((moved.velocity[0] + np.cross(moved.spin[0], arm)) @ axis)
     torque = np.asarray(moved.joint_torque)[0] @ motor
     unit = float(case.assembly.viscosity) * a**3 * rate
     return {
