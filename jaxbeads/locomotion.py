@@ -175,10 +175,6 @@ def _ambient(
     return velocity + disturbed.velocity, spin + disturbed.spin
 
 
-def _middles(assembly: Assembly, position: Array) -> Array:
-    return assembly.chain.centres(position)
-
-
 def motion(t: Any, pose: Pose, assembly: Assembly) -> BodyMotion:
     """How all bodies move, what their beads do to the fluid, and what their joints bear.
 
@@ -239,7 +235,7 @@ def _outer(t: Array, assembly: Assembly, position: Array, frames: Frames) -> _Ou
     loads = [force.load(t, state, scene) for force in assembly.forces]
     given = (assembly.given(name, t, position.dtype) for name in ("force", "torque"))
     magnets = assembly.moment, assembly.susceptibility, assembly.field
-    pulled = body_load(t, _middles(assembly, position), frames.rotation, *magnets)
+    pulled = body_load(t, assembly.chain.centres(position), frames.rotation, *magnets)
     on_bodies = add_loads(Load(*given), pulled)
     return _Outer(add_loads(*loads), on_bodies.force, on_bodies.torque)
 
@@ -311,7 +307,7 @@ def _powers(
 ) -> Array:
     """Power of what acts on bodies and in joints, for each unknown at 1."""
     power = jnp.zeros(assembly.unknowns, position.dtype)
-    middle = _middles(assembly, position) - frames.origin
+    middle = assembly.chain.centres(position) - frames.origin
     if outer.force is not None:
         there = turned.velocity + jnp.cross(turned.spin, middle[None])
         power = power + jnp.sum(there * outer.force[None], axis=(1, 2))
@@ -352,7 +348,7 @@ def _borne(assembly: Assembly, frames: Frames, load: Load, outer: _Outer) -> tup
         return push, twist
     still = jnp.zeros_like(frames.origin)
     outside = (still if x is None else x for x in (outer.force, outer.torque))
-    less = summed(hanging, _middles(assembly, position), *outside)
+    less = summed(hanging, assembly.chain.centres(position), *outside)
     return push - less[0], twist - less[1]
 
 

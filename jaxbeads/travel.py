@@ -293,7 +293,8 @@ def _span(carry: _Carry, t1: Array, assembly: Assembly) -> tuple[Array, Array, A
     held, pose, until, bodies = lax.stop_gradient((carry.t, carry.pose, end, assembly))
     if (timed := _timed(bodies, pose, held)) is None:
         return carry.t, h, end, last
-    watch: Any = Watch(bodies.scene, pose, timed, None)
+    where: Any = pose
+    watch = Watch(bodies.scene, where, timed, None)
     begun, _ = watch.begin(held)
     before, after = watch.end(begun, until, until - begun)
     cut = before < until
