@@ -34,8 +34,11 @@ def follower_force_3d(
 
     At P L^2/K_b = 37.695 (slender, local drag) both transverse modes turn unstable together: any plane
     may flap, and two planes a quarter of a period apart whirl. Just above, whirling is stable and
-    flapping in a plane is not. It starts with a bend in one plane and a small one in the other, and is
-    followed until one of both has won.
+    flapping in a plane is not: at 40, 45 and 60, with 16 beads, flapping turns to whirling at the rates
+    15.3, 37.3 and 89.0 K_b/(xi_perp L^4), and whirling comes back to itself at 20.1, 40.9 and 74.4. So
+    it is, with 12 beads, up to 170; at 200 flapping is stable, and what starts to whirl ends in a plane.
+    It starts with a bend in one plane and a small one in the other, and is followed until one of both
+    has won.
 
     **Arguments**: number of beads (at least 5); force as P L^2/K_b, L being the length beyond the clamp,
     2 a (N - 1); slope of the bend in the second plane over that in the first (0: it stays planar);
