@@ -34,7 +34,7 @@ from jaxbeads.coordinates import coordinates
 from jaxbeads.flow import LinearFlow
 from jaxbeads.force import Bending, BendingEnergy, ElasticRod, EndTorque, Weight
 from jaxbeads.linearise import coordinate_rate, linearise
-from jaxbeads.mobility import FreeDraining
+from jaxbeads.mobility import RPY, FreeDraining
 
 ROD = ElasticRod(30.0, 20.0, 45.0, 0.05, -0.1, 0.07)
 WAVES = TravellingWave(0.2, 0.4, 0.05, 0.3), TravellingWave(0.2, 0.4, 0.05, 1.9)
@@ -162,6 +162,7 @@ def test_energy_is_lost_as_work_is_done_and_derivatives_are_exact(constraint):
 
 
 BEADS = (6, 12, 24)
+ZETA_3 = 1.2020569
 
 
 def threshold(beads, critical, build, neutral=0, most=1.6):
@@ -216,6 +217,19 @@ def test_whirling_threshold_and_frequency():
     drag = 4 * np.pi * (0.5 / (BEADS[1] - 1)) ** 2
     stiff = threshold(BEADS[1], 8.8651 / drag, lambda n, w: whirling(n, w, 3.0))
     assert abs(stiff[0] - found[1][0]) < 1e-6
+
+
+@pytest.mark.parametrize("mobility, share", [(FreeDraining(), 1.0), (RPY(), 1 + ZETA_3 / 4)])
+def test_a_turned_rod_is_twisted_by_the_drag_of_its_mobility(mobility, share):
+    # All of it turns at the rate of its end. Local drag of a bead is 8 pi mu a^3 omega; in the middle of
+    # a long row, where each turns others by (a/r)^3 as much, it is less by 1 + zeta(3)/4.
+    case = scenes.whirling(40, 1.5, mobility=mobility, viscosity=1.3, perturbation=1e-5)
+    chain, omega = case.scene.chain, float(case.scene.constraints[-1].law)
+    spin = np.asarray(dynamics.motion(0.0, case.state, case.scene).spin)
+    assert np.abs(spin - [omega, 0.0, 0.0]).max() < 1e-4 * omega
+    drag = np.diff(np.asarray(material.twist(case.state, chain)))  # over K_t = 1
+    middle = 8 * np.pi * 1.3 * omega / share
+    assert np.abs(drag[18:21] / middle - 1).max() < 1e-3
 
 
 class Slides(jb.constraint.AbstractConstraint):

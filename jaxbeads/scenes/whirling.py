@@ -1,6 +1,12 @@
 """A rod that is turned about its axis at one end: twist, and whirling."""
 
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from .._checks import fail, positive, whole
 from ..chain import Chain, from_tangents, straight
@@ -10,7 +16,7 @@ from ..material import with_frames
 from ..mobility import AbstractMobility, FreeDraining
 from ..scene import Scene
 from ..solution import Solution
-from ..state import State
+from ..state import Load, State
 from .case import Case, ReadyMade, Value, modes, settled, tip_radii, whirl
 
 __all__ = ["WHIRLING", "whirling"]
@@ -35,15 +41,16 @@ def whirling(
 ) -> Case:
     """A Gears rod, clamped at its first bond and turned about it at a rate; its other end is free.
 
-    Below a critical rate it turns on its axis, straight and twisted by its drag,
-    tau = omega xi_r (L - s)/K_t; above it whirls: its bent shape goes around the axis. It starts
+    Below a critical rate it turns on its axis, straight and twisted by its drag (local:
+    tau = omega xi_r (L - s)/K_t); above it whirls: its bent shape goes around the axis. It starts
     straight and twisted like that but for a small bend, and is followed until a growing bend is fully
     developed.
 
     The critical rate is that of a slender rod with local drag, 8.8651 K_b/(xi_r L^2), L being the length
-    beyond the clamp, 2 a (N - 1), and xi_r = 4 pi mu a^2. With `RPY()` beads drag one another along, and
-    it starts to whirl elsewhere. What whirls far above folds back along its axis; beads do not keep one
-    another off.
+    beyond the clamp, 2 a (N - 1), and xi_r = 4 pi mu a^2; 8, 16 and 32 beads have 9.757, 9.038, 8.905,
+    and go around with 27.44, 23.71, 23.04 K_b/(xi_perp L^4) there. With `RPY()` beads drag one another
+    along, and whirl from 9.747, 9.451, 9.420 on, with 39.62, 44.88, 53.60. What whirls far above folds
+    back along its axis; beads do not keep one another off.
 
     **Arguments**: number of beads (at least 5); the rate over the critical one; K_t/K_b; mobility; a
     [length]; mu; K_b; slope of the start's bend [rad].
@@ -71,8 +78,9 @@ def whirling(
     rod = ElasticRod(rigidity, twist_rigidity * rigidity)
     roll = np.asarray(omega)
     scene = Scene(chain, viscosity, mobility, [Gears(), *clamped(roll=roll)], [rod])
-    if np.abs(_twist(scene)).max() * 2 * radius >= np.pi:
-        most = 0.354 * (beads - 1) * twist_rigidity
+    turned = np.abs(_twist(scene)).max() * 2 * radius
+    if turned >= np.pi:
+        most = rate * np.pi / turned
         fail("rate", f"be below {most:.3g}, where a bond twists by half a turn", f"it is {rate:g}")
     slope = perturbation * np.linspace(0, 1, beads - 1) ** 2
     e = np.stack([np.cos(slope), np.sin(slope), 0 * slope], axis=1)
@@ -89,12 +97,25 @@ def whirling(
 
 def _twist(scene: Scene) -> np.ndarray:
     """That of the straight rod: each bond bears the drag of the beads beyond it."""
-    chain, rod, roll = scene.chain, scene.forces[0], scene.constraints[-1]
+    rod, roll = scene.forces[0], scene.constraints[-1]
     if not isinstance(rod, ElasticRod) or not isinstance(roll, PrescribedRoll):
         fail("scene", "be that of `whirling`", "it holds other terms")
-    drag = 8 * np.pi * float(scene.viscosity * chain.radius**3)
-    beyond = np.arange(chain.beads - 1, 0, -1)
-    return -float(roll.law) * drag * beyond / float(rod.twist_rigidity)
+    beyond = np.cumsum(np.asarray(_drags(scene))[:0:-1])[::-1]
+    return -float(roll.law) * beyond / float(rod.twist_rigidity)
+
+
+@eqx.filter_jit
+def _drags(scene: Scene) -> Array:
+    """Torque of each bead of the straight rod over the rate at which all turn about it."""
+    beads, axis = scene.chain.beads, jnp.eye(1, 3)
+    spheres = scene.configuration(straight(scene.chain, [1.0, 0.0, 0.0]), True)
+
+    def spin(torque: Array) -> Array:
+        load = Load(jnp.zeros((beads, 3)), torque[:, None] * axis)
+        moved: Any = scene.mobility.motion(spheres, load)
+        return moved.spin[:, 0]
+
+    return jnp.linalg.solve(jax.jacfwd(spin)(jnp.zeros(beads)), jnp.ones(beads))
 
 
 def _growth(scene: Scene) -> complex:
