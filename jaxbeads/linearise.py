@@ -291,5 +291,6 @@ def _unit_motions(operator: Product, state: State, torque: bool) -> Motion:
     if isinstance(operator, PairTensor):
         return operator.unit_motions(torque)
     beads, dim = state.position.shape
-    units = _per_bead(jnp.eye((spins(dim) if torque else dim) * beads), state)
+    size = (spins(dim) if torque else dim) * beads
+    units = _per_bead(jnp.eye(size, dtype=state.position.dtype), state)
     return jax.vmap(lambda u: operator.motion(Load(torque=u) if torque else Load(force=u)))(units)

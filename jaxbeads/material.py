@@ -313,7 +313,8 @@ def check(state: State, chain: Chain) -> None:
         fail("state.frame", f"have the shape {state.position.shape}", f"it has {frame.shape}")
     if not known((frame, state.position)):
         return
-    t = np.asarray(directions(state.position, chain)[1])
+    with jax.ensure_compile_time_eval():  # the state is known, also where a program is being traced
+        t = np.asarray(directions(state.position, chain)[1])
     lengths, along = np.linalg.norm(frame, axis=1), np.abs(np.sum(np.asarray(frame) * t, axis=1))
     off = np.maximum(np.abs(lengths - 1), along)
     if off.max() > _NORMAL:

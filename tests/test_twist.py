@@ -161,6 +161,65 @@ def test_energy_is_lost_as_work_is_done_and_derivatives_are_exact(constraint):
     assert np.abs(exact - differences).max() < 1e-8 * np.abs(exact).max()
 
 
+def test_a_wall_changes_how_a_rod_moves_and_not_its_loads():
+    chain = Chain(1.0, 5)
+    state = twisted(chain)
+    low = float(state.position[:, 2].min())
+    above = [
+        Scene(
+            chain, 1.3, constraints=[Gears()], forces=[ROD], domain=jb.NoSlipWall(point, [0, 0, 1])
+        )
+        for point in ([0.0, 0.0, low - 1.5], [0.0, 0.0, low - 1e5])
+    ]
+    move = eqx.filter_jit(dynamics.motion)
+    free = Scene(chain, 1.3, constraints=[Gears()], forces=[ROD])
+    wanted, load = move(0.0, state, free), free.load_of(0, 0.0, state)
+    # What an image does falls at least like 1/h: of loads without a sum like 1/h^2.
+    for scene, least, most in zip(above, (0.1, 0.0), (1.0, 1e-8), strict=True):
+        assert np.array_equal(scene.load_of(0, 0.0, state).force, load.force)
+        assert np.array_equal(scene.load_of(0, 0.0, state).torque, load.torque)
+        found = move(0.0, state, scene)
+        for one, two in ((found.velocity, wanted.velocity), (found.spin, wanted.spin)):
+            assert least <= np.abs(one - two).max() / np.abs(two).max() < most
+
+
+def test_a_sweep_over_twist_rigidity_is_its_single_runs():
+    # From a start whose numbers are known while the program of all members is made.
+    chain, start = Chain(1.0, 4), twisted(Chain(1.0, 4))
+    ts, options = [0.0, 2.0, 4.0], {"solver": jb.Rosenbrock(substeps=10)}
+
+    def build(twist_rigidity):
+        rod = ElasticRod(30.0, twist_rigidity, 45.0, 0.05, -0.1, 0.07)
+        return Scene(chain, 1.0, FreeDraining(), [Gears()], [rod]), start
+
+    def measure(solution, scene):
+        return {"position": solution.final.position, "frame": solution.final.frame}
+
+    values = [5.0, 80.0]
+    table = jb.sweep(build, {"twist_rigidity": values}, ts, measure, progress=False, **options)
+    single = eqx.filter_jit(lambda scene: rollout(scene, start, ts, **options).final)
+    finals = [single(build(jnp.asarray(value))[0]) for value in values]
+    assert np.abs(finals[0].frame - finals[1].frame).max() > 1e-2
+    for k, final in enumerate(finals):
+        assert np.abs(table.position.values[k] - final.position).max() < 1e-12
+        assert np.abs(table.frame.values[k] - final.frame).max() < 1e-12
+
+
+def test_a_rod_in_single_precision():
+    # Angles and lengths of the order of one, in steps chosen to 1e-4.
+    chain = Chain(1.0, 4)
+    scene, state = Scene(chain, 1.0, FreeDraining(), [Gears()], [ROD]), twisted(chain)
+    wanted = rollout(scene, state, [0.0, 5.0, 10.0], tolerance=1e-4)
+    scene, state = jax.tree.map(lambda x: x.astype(jnp.float32), (scene, state))
+    ts = np.array([0.0, 5.0, 10.0], np.float32)
+    found = rollout(scene, state, ts, tolerance=1e-4, single_precision=True)
+    assert found.code == 0 and np.abs(found.final.frame - state.frame).max() > 0.1
+    kinds = {x.dtype for x in jax.tree.leaves(found.states)}
+    assert kinds == {jnp.dtype(jnp.float32)}
+    assert np.abs(found.final.position - wanted.final.position).max() < 1e-4
+    assert np.abs(found.final.frame - wanted.final.frame).max() < 1e-4
+
+
 BEADS = (6, 12, 24)
 ZETA_3 = 1.2020569
 
