@@ -167,14 +167,24 @@ def inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
     """The inverse of a matrix whose rows and columns may have units of their own."""
     column = 1 / jnp.max(jnp.abs(matrix), axis=0, keepdims=True)
     row = 1 / jnp.max(jnp.abs(matrix * column), axis=1, keepdims=True)
-    factor, order = lu(row * matrix * column)
+    solve = _by_lu(row * matrix * column)
+    unit = jnp.eye(len(matrix), dtype=matrix.dtype)
+    return column.T * jax.vmap(solve, in_axes=1, out_axes=1)(unit) * row.T
+
+
+def solve(matrix: Float[Array, "n n"], rhs: Float[Array, " n"]) -> Float[Array, " n"]:
+    """Solution of A x = rhs."""
+    return _by_lu(matrix)(rhs)
+
+
+def _by_lu(matrix: Float[Array, "n n"]) -> Callable[[Array], Array]:
+    factor, order = lu(matrix)
 
     def solve(rhs: Array) -> Array:
         below = triangular_solve(factor, rhs[order], lower=True, unit=True)
         return triangular_solve(factor, below, lower=False)
 
-    unit = jnp.eye(len(matrix), dtype=matrix.dtype)
-    return column.T * jax.vmap(solve, in_axes=1, out_axes=1)(unit) * row.T
+    return solve
 
 
 def cholesky_solve(factor: Float[Array, "n n"], rhs: Float[Array, " n"]) -> Float[Array, " n"]:

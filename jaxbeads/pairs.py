@@ -154,55 +154,6 @@ def blocks_of(pieces: tuple[int, ...], most: int) -> np.ndarray:
     return np.stack(blocks)[:, :rows]
 
 
-BLOCK, NEAR, LEAST = 32, 32, 2000
-"""Of `near_sums`: beads of a block; blocks that may be near to one; beads from which on it looks."""
-
-
-def near_sums(
-    fields: Callable[[Any, Any], Sequence[Field]],
-    beads: tuple[Array, ...],
-    pieces: tuple[int, ...],
-    reach: Float[Array, ""],
-) -> list[Array]:
-    """As `pair_sums` where fields are 0 beyond a reach, and the first of the arrays are positions: of
-    many beads only those in blocks that are near, or all where too many are.
-
-    >>> import jax.numpy as jnp
-    >>> from jaxbeads.pairs import near_sums
-    >>> x = jnp.array([[0.0, 0.0], [1.0, 0.0], [9.0, 0.0]])
-    >>> def close(to, of):
-    ...     return [abs(to[0][:, None, 0] - of[0][None, :, 0]) < 2]
-    >>> print(near_sums(close, (x,), (3,), jnp.array(2.0))[0])
-    [2. 2. 1.]
-    """
-    position, number = beads[0], len(beads[0])
-    if number < LEAST:
-        return pair_sums(fields, beads)
-    rows = blocks_of(pieces, BLOCK)
-    there = np.arange(rows.shape[1]) < (rows[:, -1] - rows[:, 0] + 1)[:, None]
-    x, room = lax.stop_gradient(position)[rows], min(NEAR, len(rows))
-    middle = jnp.mean(x, axis=1)
-    wide = jnp.max(jnp.linalg.norm(x - middle[:, None], axis=2), axis=1)
-    apart = jnp.linalg.norm(middle[:, None] - middle[None], axis=2)
-    # What is not a number is near to all, so that it is not overlooked.
-    near = ~(apart > wide[:, None] + wide[None] + lax.stop_gradient(reach))
-    _, others = lax.top_k(near.astype(jnp.float32), room)
-    real = jnp.take_along_axis(near, others, axis=1)[:, :, None] & jnp.asarray(there)[others]
-
-    def block(k: Array) -> list[Array]:
-        to = tuple(b[jnp.asarray(rows)[k]] for b in beads)
-        of = tuple(b[jnp.asarray(rows)[others[k]].ravel()] for b in beads)
-        return [jnp.where(real[k].ravel(), field, 0.0).sum(axis=1) for field in fields(to, of)]
-
-    def few() -> list[Array]:
-        found = lax.map(jax.checkpoint(block), jnp.arange(len(rows)))
-        first = np.unique(rows, return_index=True)[1]
-        return [f.ravel()[first] for f in found]
-
-    fine = jnp.all(jnp.sum(near, axis=1) <= room)
-    return lax.cond(fine, few, lambda: pair_sums(fields, beads))
-
-
 class Signed(eqx.Module):
     """A field or its negative, so that antisymmetric tables hold each field once.
 

@@ -13,41 +13,27 @@ iterations they take (`solver/esdirk.py`). Nothing is linearised as a whole, and
 within an iteration. Derivatives are those of the two equations at the solution.
 """
 
-import dataclasses
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
-from . import lengthwise
 from ._typing import with_all_digits
 from .coordinates import AbstractCoordinates
-from .factors import inverse
 from .instant import ambient_motion, applied_load, moving
 from .iterations import accelerated
-from .lengthwise import Lengthwise, Maps
-from .saddle import Iterations, constraint_map, iterations
+from .near import Near, Unknowns
+from .saddle import constraint_map
 from .scene import Scene
-from .state import Load, Motion, add_loads, add_motions, zero_motion
-from .windows import Windows, parts
+from .state import Load, State, add_loads, add_motions, zero_motion
 
-_COLUMNS = 64
-"""Derivatives that are found side by side."""
 _SMALL = 1e-2
 """Weight of the multipliers, over the largest of them, beside displacements over their units."""
-
-
-class Unknowns(NamedTuple):
-    """Of one stage."""
-
-    rate: Float[Array, " numbers"]
-    """k [coordinates/time]."""
-    multipliers: Float[Array, " rows"]
 
 
 class Stage(NamedTuple):
@@ -84,11 +70,16 @@ def residual(
     chart: AbstractCoordinates,
     scene: Scene,
     differentiable: bool = True,
+    beside: Callable[[State], Load] | None = None,
 ) -> Unknowns:
-    """k - f and J V + B; one product with M, to the error that it allows unless it is differentiable."""
+    """k - f and J V + B; one product with M, to the error that it allows unless it is differentiable.
+    There may be loads `beside` those of the scene.
+    """
     t, x = stage.t, stage.base + stage.ahead * at.rate
     state = chart.state(x)
     load, ambient = _load(t, x, at.multipliers, chart, scene), ambient_motion(t, state, scene)
+    if beside is not None:
+        load = add_loads(load, beside(state))
     if load.force is None and load.torque is None:
         motion = zero_motion(state, scene.rotational)
     else:
@@ -101,175 +92,6 @@ def residual(
     if scene.constraints:
         slip = constraint_map(t, state, scene).slip(motion)
     return Unknowns(at.rate - rate, slip)
-
-
-class Near(eqx.Module):
-    """What is solved instead of a stage: M' of one instant, S' = J M' J^T and D = 1 - g W', with
-
-        W' = T (1 - M' J^T S'^-1 J) M' dF/dx
-
-    fibre by fibre, where T takes motions to rates of coordinates; of long fibres see `lengthwise`.
-    """
-
-    maps: Maps
-    """T, J, M' and dF/dx."""
-    ahead: Float[Array, ""]
-    """g."""
-    system: Iterations | None
-    inverse: Float[Array, "fibres size size"] | None = None
-    """D^-1, in units of the coordinates."""
-    long: Lengthwise | None = None
-
-    def answer(self, off: Unknowns, implicit: Array) -> Unknowns:
-        """Change of the unknowns that takes away what the equations are off."""
-        if self.long is not None:
-            return lax.cond(implicit, lambda: self._along(off), lambda: self._explicit(off))
-        if self.system is None:
-            return Unknowns(-self._held(off.rate, implicit, False), off.multipliers)
-        pushed = -self.system.precondition(off.multipliers)
-        rate = -self._held(off.rate - self._pulled(pushed), implicit, False)
-        if self.inverse is not None:
-            slip = self.maps.linear(self._stiff(jnp.where(implicit, rate, 0.0)))
-            pushed = pushed - self.system.precondition(slip)
-        return Unknowns(rate, pushed)
-
-    def transposed(self, of: Unknowns, implicit: Array) -> Unknowns:
-        """The transpose of `answer`."""
-        if self.long is not None:
-            back, explicit = self._along_transposed, self._explicit_transposed
-            return lax.cond(implicit, lambda: back(of), lambda: explicit(of))
-        rate, slip = of
-        if self.system is None:
-            return Unknowns(-self._held(rate, implicit, True), slip)
-        if self.inverse is not None:
-            push = self._pull_motion(self.system.precondition(slip))
-            (back,) = jax.linear_transpose(self._stiff, rate)(push)
-            rate = rate - jnp.where(implicit, back, 0.0)
-        rate = self._held(rate, implicit, True)
-        (motion,) = jax.linear_transpose(self.maps.rate, self.maps.still)(rate)
-        moved = self.maps.motion(Load(motion.velocity, motion.spin))
-        slip = -self.system.precondition(slip + self.maps.linear(moved))
-        return Unknowns(-rate, slip)
-
-    def _explicit(self, off: Unknowns) -> Unknowns:
-        return eqx.tree_at(_long, self, None).answer(off, jnp.asarray(False))
-
-    def _explicit_transposed(self, of: Unknowns) -> Unknowns:
-        return eqx.tree_at(_long, self, None).transposed(of, jnp.asarray(False))
-
-    def _along(self, off: Unknowns) -> Unknowns:
-        long: Any = self.long
-        return Unknowns(*long.answer(self.maps, -off.rate, off.multipliers))
-
-    def _along_transposed(self, of: Unknowns) -> Unknowns:
-        return jax.linear_transpose(self._along, of)(of)[0]
-
-    def _held(self, rate: Array, implicit: Array, transposed: bool) -> Array:
-        """D^-1, or its transpose, in an implicit stage; otherwise 1."""
-        if self.inverse is None:
-            return rate
-        chart = self.maps.chart
-        numbers, units = _numbers(chart), chart.units
-        scale = 1 / units if transposed else units
-        part = (rate / scale).at[numbers].get(mode="fill", fill_value=0.0)
-        which = "fji,fj->fi" if transposed else "fij,fj->fi"
-        part = jnp.einsum(which, self.inverse, part)
-        held = (rate / scale).at[numbers].set(part, mode="drop") * scale
-        return jnp.where(implicit, held, rate)
-
-    def _pull_motion(self, multipliers: Array) -> Motion:
-        """J^T lambda, as a motion."""
-        load = self.maps.pull(multipliers)
-        return Motion(jnp.asarray(load.force), load.torque)
-
-    def _pulled(self, multipliers: Array) -> Array:
-        """T M' J^T lambda."""
-        return self.maps.rate(self.maps.motion(self.maps.pull(multipliers)))
-
-    def _stiff(self, rate: Array) -> Motion:
-        """g M' dF/dx k."""
-        push = jax.jvp(self.maps.load, (self.maps.x,), (self.ahead * rate,))[1]
-        return self.maps.motion(push)
-
-    def columns(self) -> Float[Array, "fibres size size"] | None:
-        """W' fibre by fibre, in units of the coordinates: derivatives by the first number of each fibre
-        at once, by the second of each, and so on.
-        """
-        maps, chart = self.maps, self.maps.chart
-        numbers = _numbers(chart)
-        load, push = jax.linearize(maps.load, maps.x)
-        if load.force is None and load.torque is None:
-            return None
-
-        def column(number: Array) -> Array:
-            shift = jnp.zeros_like(maps.x).at[number].set(chart.units[number], mode="drop")
-            motion = maps.motion(push(shift))
-            if self.system is not None:
-                held = -self.system.precondition(maps.linear(motion))
-                motion = add_motions(motion, maps.motion(maps.pull(held)))
-            return maps.rate(motion) / chart.units
-
-        found = lax.map(column, jnp.asarray(numbers.T), batch_size=_COLUMNS)
-        found = found.at[:, numbers].get(mode="fill", fill_value=0.0)  # (column, fibre, row)
-        return jnp.transpose(found, (1, 2, 0))
-
-
-def _long(near: Near) -> Any:
-    return near.long
-
-
-def _numbers(chart: AbstractCoordinates) -> np.ndarray:
-    """The coordinates of each fibre, a row for each, filled up with a number that is too large."""
-    fibre = chart.fibres
-    rows = [np.flatnonzero(fibre == k) for k in range(len(chart.chain.fibres))]
-    size = max(len(row) for row in rows)
-    return np.stack([np.pad(r, (0, size - len(r)), constant_values=len(fibre)) for r in rows])
-
-
-@with_all_digits
-@eqx.filter_jit
-def near(
-    t: Array,
-    x: Array,
-    ahead: Array,
-    chart: AbstractCoordinates,
-    scene: Scene,
-    guess: Array,
-    implicit: bool = True,
-) -> Near:
-    """What is solved instead of the stages of a step.
-
-    **Arguments**: time; coordinates about which; g; the chart; scene; multipliers there, about; whether
-    it is for implicit stages: of an explicit one D is not asked for, and D^-1 is 0 here.
-    """
-    state = chart.state(x)
-    system = iterations(t, state, scene) if scene.constraints else None
-    part = parts(state, scene.operator(state), scene.chain)
-    between = tuple(k for k, f in enumerate(scene.forces) if f.local(t, state, scene) is not None)
-    found = Near(Maps(t, x, state, chart, scene, guess, part, between), ahead, system)
-    along = isinstance(part, Windows) and _numbers(chart).shape[1] > lengthwise.MOST_NUMBERS
-
-    def whole() -> Near:
-        if along and isinstance(part, Windows):
-            return dataclasses.replace(found, long=lengthwise.lengthwise(found.maps, part, ahead))
-        each = [jnp.asarray(scene.forces[k].local(t, state, scene)) for k in between]
-        local = jnp.sum(jnp.stack(each), axis=0) if each else None
-        stiff = dataclasses.replace(found, maps=dataclasses.replace(found.maps, local=local))
-        columns = stiff.columns()
-        if columns is None:
-            return stiff
-        unit = jnp.eye(columns.shape[1], dtype=columns.dtype)
-        held = lax.map(lambda matrix: inverse(unit - ahead * matrix), columns)
-        return dataclasses.replace(stiff, inverse=held)
-
-    if implicit:
-        return whole()
-    shapes = eqx.filter_eval_shape(whole)
-    none = jax.tree.map(
-        lambda x: jnp.zeros(x.shape, x.dtype), (shapes.maps.local, shapes.inverse, shapes.long)
-    )
-    maps = dataclasses.replace(found.maps, local=none[0])
-    return dataclasses.replace(found, maps=maps, inverse=none[1], long=none[2])
 
 
 class _Scale(NamedTuple):
@@ -329,8 +151,32 @@ def _stage(
         size = jnp.max(jnp.abs(change.rate * scale.rate), initial=0.0)
         return scale.joined(change), size
 
-    found = accelerated(step, scale.joined(guess), enough)
-    return Found(scale.parted(found.solution), found.converged, found.iterations)
+    def meeting(numbers: Array) -> tuple[Array, Array]:
+        """Pushes of pairs are unknowns, too."""
+        touches: Any = near.touches
+        numbers, push = numbers[:count], numbers[count:] * most
+        at = scale.parted(numbers)
+
+        def beside(state: State) -> Load:
+            return Load(touches.beside(state.position, push))
+
+        off = residual(stage, at, chart, scene, False, beside)
+        there = touches.meeting(chart.state(stage.base + stage.ahead * at.rate).position, push)
+        change, pushed = near.met(off, implicit, there)
+        size = jnp.max(jnp.abs(change.rate * scale.rate), initial=0.0)
+        return jnp.concatenate([scale.joined(change), pushed / most]), size
+
+    first = scale.joined(guess)
+    count = len(first)
+    if near.touches is None:
+        found = accelerated(step, first, enough)
+    else:
+        position = chart.state(stage.base + stage.ahead * guess.rate).position
+        push = near.touches.first(position, implicit)
+        most = jnp.max(jnp.abs(push), initial=0.0)
+        most = jnp.where(most > 0, most, 1.0) / _SMALL
+        found = accelerated(meeting, jnp.concatenate([first, push / most]), enough)
+    return Found(scale.parted(found.solution[:count]), found.converged, found.iterations)
 
 
 @_stage.def_jvp

@@ -10,7 +10,17 @@ import pytest
 from cases import bent, jointed, scene
 
 import jaxbeads as jb
-from jaxbeads import Chain, Configuration, Load, Scene, Setting, dynamics, pairs, saddle, tensors
+from jaxbeads import (
+    Chain,
+    Configuration,
+    Load,
+    Scene,
+    Setting,
+    dynamics,
+    neighbours,
+    saddle,
+    tensors,
+)
 from jaxbeads.constraint import (
     EqualSpins,
     Gears,
@@ -237,8 +247,8 @@ def test_constraints_that_contradict_one_another_do_not_converge():
 @pytest.mark.parametrize("near", [None, 20, 2], ids=["all", "near", "crowded"])
 def test_contact_and_the_smallest_gap_in_blocks(near, monkeypatch):
     if near:
-        monkeypatch.setattr(pairs, "LEAST", 100)
-        monkeypatch.setattr(pairs, "NEAR", near)
+        monkeypatch.setattr(neighbours, "LEAST", 100)
+        monkeypatch.setattr(neighbours, "NEAR", near)
     chain = Chain(1.0, (200, 200))
     state = bent(chain, 3, centre=[[0.0, 0.0, 0.0], [0.5, 1.5, 0.3]])
     x = np.asarray(state.position)

@@ -16,9 +16,10 @@ from jaxbeads.coordinates import coordinates
 from jaxbeads.force import Bending, BendingEnergy, ElasticRod, Spring, Weight
 from jaxbeads.linearise import coordinate_rate
 from jaxbeads.mobility import RPY
+from jaxbeads.near import Unknowns, near
 from jaxbeads.rollout import stepper_for
 from jaxbeads.saddle import slips
-from jaxbeads.stages import Stage, Unknowns, near, solved_stage
+from jaxbeads.stages import Stage, solved_stage
 from jaxbeads.state import add_loads, zero_motion
 
 TIME, AHEAD = jnp.asarray(0.3), jnp.asarray(40.0)

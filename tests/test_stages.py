@@ -18,7 +18,8 @@ from jaxbeads.force import Bending, Contact, ForceField, Weight
 from jaxbeads.iterations import accelerated
 from jaxbeads.linearise import coordinate_rate
 from jaxbeads.mobility import RPY
-from jaxbeads.stages import Stage, Unknowns, near, solved_stage
+from jaxbeads.near import Unknowns, near
+from jaxbeads.stages import Stage, solved_stage
 
 TIME = jnp.asarray(0.3)
 FAST = {"xla_backend_optimization_level": 0}

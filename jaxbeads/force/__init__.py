@@ -10,6 +10,7 @@ a file of its own, a line here and a line in `tests/cases.py`.
 
 from .base import AbstractForce as AbstractForce
 from .base import AbstractPotential as AbstractPotential
+from .base import AbstractTouching as AbstractTouching
 from .bending import Bending as Bending
 from .bending import BendingEnergy as BendingEnergy
 from .bending import DrivingMoment as DrivingMoment

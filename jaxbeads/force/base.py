@@ -6,11 +6,39 @@ from typing import ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from ..chain import Chain
 from ..setting import Setting
 from ..state import Load, State
+
+
+class AbstractTouching(eqx.Module):
+    """Pairs of beads that push each other apart, or may do so soon."""
+
+    first: eqx.AbstractVar[Int[Array, " pairs"]]
+    second: eqx.AbstractVar[Int[Array, " pairs"]]
+    direction: eqx.AbstractVar[Float[Array, "pairs dim"]]
+    """From the second to the first; unit vectors."""
+    there: eqx.AbstractVar[Bool[Array, " pairs"]]
+    """Whether there is a pair."""
+
+    @abc.abstractmethod
+    def apart(self, position: Float[Array, "beads dim"]) -> Float[Array, "pairs dim"]:
+        """r_i - r_j, of the first and the second [length]."""
+
+    @abc.abstractmethod
+    def gap(self, position: Float[Array, "beads dim"]) -> Float[Array, " pairs"]:
+        """Distances of the surfaces [length]."""
+
+    @abc.abstractmethod
+    def push(self, gap: Float[Array, " pairs"]) -> Float[Array, " pairs"]:
+        """Repulsion at distances of the surfaces [force]; it falls with the distance."""
+
+    @property
+    @abc.abstractmethod
+    def deep(self) -> Float[Array, ""]:
+        """A distance of surfaces at which repulsion is large already [length]."""
 
 
 class AbstractForce(eqx.Module):
@@ -80,6 +108,13 @@ class AbstractForce(eqx.Module):
         """Derivative of the force on each bead by the bead's own place [force/length], for a force
         between any beads of a large scene, as contact: implicit steps of such scenes look for their way
         with it instead of the whole derivative (and converge to the same). `None`: with the whole.
+        """
+        return None
+
+    def touching(self, state: State, scene: Setting, most: int) -> AbstractTouching | None:
+        """Of a force that has `local`: at most so many pairs of beads, from the nearest on, that are
+        taken as pairs where implicit steps look for their way, with the whole law of their force and
+        not the derivative by each bead's own place. `None`: no pairs.
         """
         return None
 

@@ -6,17 +6,22 @@ from typing import ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from .._checks import non_negative, positive, shape
 from .._typing import float_array
 from ..domain import AbstractHalfSpace, Unbounded
-from ..pairs import near_sums, pair_sums, separations
+from ..neighbours import largest, near_sums
+from ..pairs import pair_sums, separations
 from ..setting import Setting
 from ..state import Load, State
-from .base import AbstractForce, repulsion
+from .base import AbstractForce, AbstractTouching, repulsion
 
 Fields = Callable[[tuple[Array, ...], tuple[Array, ...]], list[Array]]
+
+
+_SOON = 1.5
+"""Of pairs that are looked at by an implicit step: distance of the surfaces, over the radius."""
 
 
 class Contact(AbstractForce):
@@ -125,19 +130,43 @@ class Contact(AbstractForce):
             jnp.swapaxes(pairs.reshape(-1, dim, dim), 1, 2) + jnp.stack(walls, axis=2)
         )
 
+    def touching(self, state: State, scene: Setting, most: int) -> AbstractTouching:
+        """Pairs whose surfaces are nearer than `_SOON` radii and the roughness."""
+        radius = jnp.max(scene.chain.radii)
+        soon = self.roughness + _SOON * radius
+
+        def nearness(to: tuple[Array, ...], of: tuple[Array, ...]) -> Array:
+            d, skip = self._apart(to, of, scene)
+            distance = jnp.sqrt(jnp.where(skip, 1.0, sum(x * x for x in d)))
+            gap = distance - to[1][:, None] - of[1][None]
+            return jnp.where(skip, 0.0, jnp.maximum(soon - gap, 0.0))
+
+        beads, reach = self._beads(state, scene)
+        reach = reach + _SOON * radius
+        first, second, found = largest(nearness, beads, scene.chain.fibres, reach, most)
+        pairs = _Touching(first, second, state.position[first], found > 0, self, scene)
+        way = pairs.apart(state.position)
+        size = jnp.linalg.norm(way, axis=1, keepdims=True)
+        way = way / jnp.where(size > 0, size, 1.0)
+        return eqx.tree_at(lambda p: p.direction, pairs, way)
+
+    def _apart(
+        self, to: tuple[Array, ...], of: tuple[Array, ...], scene: Setting
+    ) -> tuple[list[Array], Bool[Array, "to of"]]:
+        """r_i - r_j, and pairs that do not push: neighbours may touch; coincident beads have no line of
+        centres.
+        """
+        d = list(scene.domain.nearest(separations(to[0], of[0]), 1.0))
+        apart, other = (x[:, None] - y[None, :] for x, y in zip(to[2:], of[2:], strict=True))
+        return d, (jnp.abs(apart) <= 1) & (other == 0) | (sum(x * x for x in d) == 0)
+
     def _pushes(self, scene: Setting) -> Fields:
         """Force of each bead on each other, over the strength, component by component."""
 
         def fields(to: tuple[Array, ...], of: tuple[Array, ...]) -> list[Array]:
-            d = scene.domain.nearest(separations(to[0], of[0]), 1.0)
-            radii, apart, other = (
-                x[:, None] + sign * y[None, :]
-                for x, y, sign in zip(to[1:], of[1:], (1, -1, -1), strict=True)
-            )
-            square = sum(x * x for x in d)
-            # Neighbours may touch; coincident beads have no line of centres.
-            skip = (jnp.abs(apart) <= 1) & (other == 0) | (square == 0)
-            distance = jnp.sqrt(jnp.where(skip, 1.0, square))
+            d, skip = self._apart(to, of, scene)
+            radii = to[1][:, None] + of[1][None, :]
+            distance = jnp.sqrt(jnp.where(skip, 1.0, sum(x * x for x in d)))
             push = repulsion(distance - radii, self.roughness, self.decay) / distance
             return [jnp.where(skip, 0.0, push) * x for x in d]
 
@@ -145,13 +174,18 @@ class Contact(AbstractForce):
 
     def _sums(self, fields: Fields, state: State, scene: Setting) -> list[Array]:
         """Sums of fields that end at the roughness."""
+        beads, reach = self._beads(state, scene)
+        return near_sums(fields, beads, scene.chain.fibres, reach)
+
+    def _beads(self, state: State, scene: Setting) -> tuple[tuple[Array, ...], Array]:
+        """Position, radius, number and fibre of each, and how far they reach."""
         chain = scene.chain
         fibre = jnp.asarray(chain.fibre_of_bead)
         beads = state.position, chain.radii, jnp.arange(chain.beads), fibre
-        if isinstance(scene.domain, (Unbounded, AbstractHalfSpace)):
-            reach = 2 * jnp.max(chain.radii) + self.roughness
-            return near_sums(fields, beads, chain.fibres, reach)
-        return pair_sums(fields, beads)
+        # Images of blocks are not looked for.
+        images = not isinstance(scene.domain, (Unbounded, AbstractHalfSpace))
+        reach = 2 * jnp.max(chain.radii) + self.roughness
+        return beads, jnp.asarray(jnp.inf, reach.dtype) if images else reach
 
     def _off_walls(self, position: Array, scene: Setting) -> Array:
         """Forces off the boundary, over the strength."""
@@ -166,3 +200,36 @@ class Contact(AbstractForce):
     def _clearance(position: Array, scene: Setting) -> Array:
         clearance = scene.domain.clearance(position, scene.chain.radius)
         return jnp.zeros(len(position)) if clearance is None else clearance
+
+
+class _Touching(AbstractTouching):
+    """Pairs of `Contact`."""
+
+    first: Int[Array, " pairs"]
+    second: Int[Array, " pairs"]
+    direction: Float[Array, "pairs dim"]
+    there: Bool[Array, " pairs"]
+    contact: Contact
+    scene: Setting
+
+    def apart(self, position: Float[Array, "beads dim"]) -> Float[Array, "pairs dim"]:
+        """r_i - r_j."""
+        way = position[self.first] - position[self.second]
+        return jnp.stack(self.scene.domain.nearest(list(way.T), 1.0), axis=1)
+
+    def gap(self, position: Float[Array, "beads dim"]) -> Float[Array, " pairs"]:
+        """Distances of the surfaces [length]."""
+        square = jnp.sum(self.apart(position) ** 2, axis=1)
+        radii = self.scene.chain.radii
+        distance = jnp.sqrt(jnp.where(square > 0, square, 1.0))
+        return jnp.where(square > 0, distance, 0.0) - radii[self.first] - radii[self.second]
+
+    def push(self, gap: Float[Array, " pairs"]) -> Float[Array, " pairs"]:
+        """Repulsion at distances of the surfaces [force]."""
+        contact = self.contact
+        return contact.strength * repulsion(gap, contact.roughness, contact.decay)
+
+    @property
+    def deep(self) -> Float[Array, ""]:
+        """Where it is some seven times the strength."""
+        return -(self.contact.roughness + 2 * self.contact.decay)

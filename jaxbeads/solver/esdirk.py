@@ -10,13 +10,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float, Int, PyTree
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from ..coordinates import coordinates
 from ..geometry import norm
+from ..near import Near, Unknowns, near
 from ..saddle import slips
 from ..scene import Scene
-from ..stages import Near, Stage, Unknowns, near, residual, solved_stage
+from ..stages import Found, Stage, residual, solved_stage
 from ..state import State, zero_motion
 from .base import AbstractSolver, CubicPath
 from .tolerance import default_tolerance
@@ -104,6 +105,10 @@ class Memory(NamedTuple):
     """Of the last stage, where the next step begins to look for its own."""
     products: Int[Array, ""]
     """Products with the mobility, of the steps that were kept."""
+    moving: State
+    """Rate of change of the state in the last stage, which is that of the next step's first."""
+    known: Bool[Array, ""]
+    """Whether there is one."""
 
 
 class Esdirk(diffrax.AbstractAdaptiveSolver):
@@ -135,7 +140,8 @@ class Esdirk(diffrax.AbstractAdaptiveSolver):
         none, still = jnp.zeros((0,), y0.position.dtype), zero_motion(y0, args.rotational)
         if args.constraints:
             none = jnp.zeros_like(slips(jnp.asarray(t0), y0, args)(still))
-        return Memory(none, jnp.zeros((), int))
+        moving = jax.tree.map(jnp.zeros_like, y0)
+        return Memory(none, jnp.zeros((), int), moving, jnp.zeros((), bool))
 
     def step(
         self,
@@ -157,6 +163,10 @@ class Esdirk(diffrax.AbstractAdaptiveSolver):
             tolerance = max(_WITHOUT * default_tolerance(dtype), rounding)
         enough = _ENOUGH * jnp.asarray(tolerance, dtype)
         before = lax.stop_gradient(solver_state.multipliers)
+        # What was found at the end of the step before is less rough than what its state asks for, of
+        # which it is as accurate as iterations are, and costs nothing.
+        known = solver_state.known & ~jnp.asarray(made_jump)
+        begun = chart.rate(chart.origin, chart.start, solver_state.moving)
 
         def about(t: Array, x: Array, multipliers: Array, implicit: bool = True) -> Near:
             given = lax.stop_gradient((t, x, _GAMMA * h, chart, args, multipliers))
@@ -165,16 +175,23 @@ class Esdirk(diffrax.AbstractAdaptiveSolver):
         def stage(found: tuple[Any, ...], row: Any) -> tuple[Any, None]:
             rates, multipliers, fine, products, most, close = found
             index, a, c, ahead, weights = row
-            first = jnp.where(index == 0, before, weights @ multipliers)
             at = Stage(t0 + c * h, h * (a @ rates), h * ahead)
-            guess = Unknowns(weights @ rates, first)
+            pull = jnp.where(index == 0, before, weights @ multipliers)
+            guess = Unknowns(weights @ rates, pull)
             # All implicit stages are solved about the middle of the step, where its begin leads.
             close = lax.cond(
                 index == 1,
                 lambda: about(t0 + 0.5 * h, 0.5 * h * rates[0], multipliers[0]),
                 lambda: close,
             )
-            solved = solved_stage(at, h, chart, args, close, guess, enough)
+            # Nothing is asked for where the first stage is known, or one before was not found.
+            first = (index == 0) & known
+            idle = Unknowns(jnp.where(first, begun, guess.rate), guess.multipliers)
+            solved = lax.cond(
+                first | ~fine,
+                lambda: Found(idle, fine, jnp.zeros((), int)),
+                lambda: solved_stage(at, h, chart, args, close, guess, enough),
+            )
             rates = rates.at[index].set(solved.unknowns.rate)
             multipliers = multipliers.at[index].set(lax.stop_gradient(solved.unknowns.multipliers))
             fine, products = fine & solved.fine, products + solved.products
@@ -184,14 +201,22 @@ class Esdirk(diffrax.AbstractAdaptiveSolver):
         none = jnp.zeros((6, len(chart.origin)), dtype), jnp.zeros((6, len(before)), dtype)
         rows = (_A - np.diag(np.diag(_A)), _C, np.diag(_A), _GUESSES)
         table = (jnp.arange(6), *(jnp.asarray(x, dtype) for x in rows))
+
+        def start() -> tuple[Near, Array, Array]:
+            close = about(t0, chart.origin, before, implicit=False)
+            # One iteration more, after which it is known how large multipliers are.
+            unknown = Unknowns(jnp.zeros_like(chart.origin), before)
+            here = lax.stop_gradient(Stage(t0, chart.origin, 0 * h))
+            off = residual(here, unknown, *lax.stop_gradient((chart, args)))
+            more = close.answer(off, jnp.asarray(False)).multipliers
+            return close, before + more, jnp.ones((), int)
+
+        shapes = eqx.filter_eval_shape(start)
+        idle = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+        close, before, more = lax.cond(known, lambda: (idle[0], before, idle[2]), start)
         # A loop, so that a stage is compiled once.
-        close = about(t0, chart.origin, before, implicit=False)
-        # One iteration more, after which it is known how large multipliers are.
-        unknown = Unknowns(jnp.zeros_like(chart.origin), before)
-        start = lax.stop_gradient(Stage(t0, chart.origin, 0 * h))
-        off = residual(start, unknown, *lax.stop_gradient((chart, args)))
-        before = before + close.answer(off, jnp.asarray(False)).multipliers
-        first = (*none, jnp.asarray(True), solver_state.products + 1, jnp.zeros((), int), close)
+        products = solver_state.products + more
+        first = (*none, jnp.asarray(True), products, jnp.zeros((), int), close)
         found, _ = lax.scan(stage, first, table)
         rates, multipliers, fine, products, most, _ = found
         x1 = h * (jnp.asarray(_A[5], dtype) @ rates)
@@ -210,7 +235,8 @@ class Esdirk(diffrax.AbstractAdaptiveSolver):
         bend = jnp.stack([begin - x1, 2 * x1 - begin - end])
         dense = {"coordinates": chart, "x1": x1, "bend": bend}
         result = diffrax.RESULTS.where(fine, diffrax.RESULTS.successful, _NOT_FOUND)
-        return y1, off, dense, Memory(multipliers[5], products), result
+        moving = jax.jvp(chart.state, (x1,), (rates[5],))[1]
+        return y1, off, dense, Memory(multipliers[5], products, moving, jnp.asarray(True)), result
 
     def func(self, terms: Any, t0: Any, y0: State, args: Scene) -> State:
         """The right-hand side."""

@@ -246,13 +246,15 @@ class AdaptiveSteps(eqx.Module):
         )
         y = project(scene, y) if self.projected else tidied(scene, y)
         keep = jnp.asarray(keep)
+        # A step that is tried again begins behind the same jump.
+        jump = jnp.where(keep, jnp.asarray(jump), jumped)
         if beyond is not None and shortened is not None:
             # A step that was shortened says little about how long the next one may be.
             wanted = jnp.where(keep & shortened, a.next - t0, 0.0)
             following = jnp.maximum(end - start, wanted)
             switched = keep & (beyond > t1)
             start = jnp.where(switched, beyond, start)
-            end, jump = start + following, jnp.asarray(jump) | switched
+            end, jump = start + following, jump | switched
 
         def pick(new: Any, old: Any) -> Any:
             return jax.tree.map(lambda n, o: jnp.where(keep, n, o), new, old)
@@ -273,7 +275,7 @@ class AdaptiveSteps(eqx.Module):
             pick(y, a.state),
             pick(memory, a.solver),
             controller,
-            jnp.asarray(jump),
+            jump,
             dense,
         )
         return jnp.where(stuck, Outcome.GAVE_UP, code), after
