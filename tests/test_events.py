@@ -3,6 +3,7 @@
 from functools import partial
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -25,6 +26,8 @@ from jaxbeads.flow import VelocityField
 from jaxbeads.force import Contact, ForceField, Weight
 from jaxbeads.mobility import FreeDraining
 from jaxbeads.programs import switches
+from jaxbeads.rollout import stepper_for
+from jaxbeads.solver import Diffrax
 from jaxbeads.solver.watch import watch
 
 ONE = Chain(1.0, 1)
@@ -205,6 +208,20 @@ def test_a_law_is_followed_from_piece_to_piece(law, solver):
         return
     assert int(run.code) == 0
     assert abs(float(run.final.position[0, 0]) - 0.5 - end) < 1e-12
+
+
+def test_a_step_that_is_tried_again_knows_of_the_jump_before_it():
+    # Else a method that begins with its last rate would take the one from before the jump.
+    model = Scene(Chain(1.0, 2), 1.0, FreeDraining(), forces=[jb.force.Spring(1e3)])
+    ts = jnp.array([0.0, 100.0])
+    stepper = stepper_for(model, ts, Diffrax(diffrax.Tsit5(), tolerance=1e-6))
+    begun = stepper.init(model, State([[0.0, 0.0], [2.5, 0.0]]), *ts)
+    for end, again in ((50.0, True), (1e-6, False)):
+        before = eqx.tree_at(
+            lambda a: [a.next, a.jump], begun.memory, [ts[0] + end, jnp.asarray(True)]
+        )
+        _, after = stepper.attempt(model, begun.code, before, ts[1])
+        assert bool(after.previous == 0) == again and bool(after.jump) == again
 
 
 def step(t):
