@@ -24,7 +24,7 @@ from .lengthwise import Lengthwise, Maps
 from .saddle import Iterations, iterations
 from .scene import Scene
 from .state import Load, Motion, add_loads, add_motions
-from .touching import Meeting, Touches, placed, room, stiffness, touches
+from .touching import Touches, placed, room, stiffness, touches
 from .windows import Windows, parts
 
 _COLUMNS = 64
@@ -65,10 +65,12 @@ class Near(eqx.Module):
         touches = self.touches
         return self._answer(off, implicit, None if touches is None else touches.pushed)[0]
 
-    def met(self, off: Unknowns, implicit: Array, at: Meeting) -> tuple[Unknowns, Array]:
-        """The same where pairs push as they do, and the change of that, by the whole law of pairs."""
+    def met(
+        self, off: Unknowns, implicit: Array, gap: Array, push: Array
+    ) -> tuple[Unknowns, Array]:
+        """The same by the whole law of pairs that have gaps and pushes, and the change of these."""
         touches: Any = self.touches
-        return self._answer(off, implicit, lambda alone: touches.met(alone, at))
+        return self._answer(off, implicit, lambda alone: touches.met(alone, gap, push))
 
     def _answer(self, off: Unknowns, implicit: Array, meet: Any) -> tuple[Unknowns, Any]:
         pushed, rate = off.multipliers, off.rate

@@ -161,8 +161,8 @@ def _stage(
             return Load(touches.beside(state.position, push))
 
         off = residual(stage, at, chart, scene, False, beside)
-        there = touches.meeting(chart.state(stage.base + stage.ahead * at.rate).position, push)
-        change, pushed = near.met(off, implicit, there)
+        gap = touches.pairs.gap(chart.state(stage.base + stage.ahead * at.rate).position)
+        change, pushed = near.met(off, implicit, gap, push)
         size = jnp.max(jnp.abs(change.rate * scale.rate), initial=0.0)
         return jnp.concatenate([scale.joined(change), pushed / most]), size
 

@@ -17,7 +17,6 @@ as deep as a radius, say nothing. Fluid between fibres is left out, as in all of
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -34,10 +33,12 @@ MOST_PAIRS = 512
 _PART = 4
 """Numbers of a fibre over the most pairs that it takes part in."""
 _FEWEST = 4
-_MOST = 20
+_MOST = 30
 """Newton's iterations."""
 _ENOUGH = 1e-10
 """Gaps are found to this part of the least radius, or as well as rounding allows."""
+_STILL = 1e3
+"""How much farther off they may be at the end."""
 
 Parts = Float[Array, "fibres size"]
 Pairs = Float[Array, " pairs"]
@@ -83,13 +84,6 @@ def _push(pairs: AbstractTouching, gap: Pairs) -> Pairs:
     return jnp.where(pairs.there, pairs.push(gap), 0.0)
 
 
-class Meeting(NamedTuple):
-    """How pairs meet."""
-
-    gap: Pairs
-    push: Pairs
-
-
 class Touches(eqx.Module):
     """Pairs that touch, in the rates of fibres."""
 
@@ -120,10 +114,6 @@ class Touches(eqx.Module):
             push = push + jnp.sum(self.pairs.direction * way, axis=1)
         return -self._spread(self.parting, self.small.T @ push)
 
-    def meeting(self, position: Float[Array, "beads dim"], push: Pairs) -> Meeting:
-        """Pairs where beads are, with pushes, which need not be those of these gaps."""
-        return Meeting(self.pairs.gap(position), push)
-
     def first(self, position: Float[Array, "beads dim"], implicit: Array) -> Pairs:
         """Pushes to begin with; of an explicit stage those that there are."""
         gap = self.pairs.gap(position)
@@ -138,9 +128,11 @@ class Touches(eqx.Module):
         none = jnp.zeros_like(position)
         return none.at[self.pairs.first].add(force).at[self.pairs.second].add(-force)
 
-    def met(self, rate: Parts, at: Meeting) -> Pairs:
-        """Change of pushes, where fibres alone would go at these rates."""
-        alone = at.gap + self.ahead * self._along(self.parting, rate) - self.opened @ at.push
+    def met(self, rate: Parts, gap: Pairs, push: Pairs) -> Pairs:
+        """Change of pushes, which need not be those of the gaps, where fibres alone would go at these
+        rates; NaN where none is found.
+        """
+        alone = gap + self.ahead * self._along(self.parting, rate) - self.opened @ push
 
         def off(s: Pairs) -> Pairs:
             return s - alone - self.opened @ _push(self.pairs, s)
@@ -159,8 +151,9 @@ class Touches(eqx.Module):
 
         first = jnp.maximum(alone, self.pairs.deep)
         turn = first, off(first), jnp.zeros((), int)
-        change = _push(self.pairs, lax.while_loop(unfinished, newton, turn)[0]) - at.push
-        return jnp.where(jnp.all(jnp.isfinite(change)), change, 0.0)
+        s, left, _ = lax.while_loop(unfinished, newton, turn)
+        found = jnp.max(jnp.abs(left), initial=0.0) <= _STILL * self.enough
+        return jnp.where(found, _push(self.pairs, s) - push, jnp.nan)
 
     def moved(self, push: Pairs) -> Parts:
         """W p."""
