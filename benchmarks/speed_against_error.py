@@ -303,7 +303,7 @@ def draw(results: dict[str, list[Row]], file: str) -> None:
         panel.set_xlabel("error over $L$")
     axes[0, 0].set_ylabel("wall time [s]")
     axes[0, 0].legend(fontsize=6)
-    figure.savefig(file, dpi=130)
+    figure.savefig(file, dpi=110)
     if file.endswith(".png"):
         with Image.open(file) as whole:  # a few colours: a quarter of the size
             few = whole.convert("RGB").quantize(64, Image.Quantize.FASTOCTREE, dither=0)
