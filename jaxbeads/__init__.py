@@ -20,6 +20,7 @@ from . import locomotion as locomotion
 from . import magnetism as magnetism
 from . import material as material
 from . import mobility as mobility
+from . import neighbours as neighbours
 from . import objectives as objectives
 from . import observables as observables
 from . import pairs as pairs

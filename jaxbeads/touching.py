@@ -45,11 +45,8 @@ Pairs = Float[Array, " pairs"]
 
 
 def room(fibres: int, size: int) -> tuple[int, int]:
-    """Of how many pairs, and of how many in each fibre, account is taken.
-
-    >>> from jaxbeads.touching import room
-    >>> print(room(8, 21), room(100, 201))  # fibres, and numbers of each
-    (20, 5) (512, 50)
+    """Of how many pairs, and of how many in each fibre, account is taken, where fibres have `size`
+    numbers each.
     """
     slots = max(_FEWEST, size // _PART)
     return min(MOST_PAIRS, fibres * slots // 2), slots

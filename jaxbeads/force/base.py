@@ -14,7 +14,16 @@ from ..state import Load, State
 
 
 class AbstractTouching(eqx.Module):
-    """Pairs of beads that push each other apart, or may do so soon."""
+    """Pairs of beads that push each other apart, or may do so soon.
+
+    >>> import jaxbeads as jb
+    >>> two, touching = jb.Chain(radius=1.0, fibres=[1, 1]), jb.State([[0.0, 0.0], [2.0, 0.0]])
+    >>> contact = jb.force.Contact(strength=3.0, roughness=0.1, decay=0.1)
+    >>> pairs = contact.touching(touching, jb.Setting(two, viscosity=1.0), most=1)
+    >>> gap = pairs.gap(touching.position)
+    >>> print(pairs.first, pairs.second, gap, pairs.push(gap))
+    [0] [1] [0.] [1.5]
+    """
 
     first: eqx.AbstractVar[Int[Array, " pairs"]]
     second: eqx.AbstractVar[Int[Array, " pairs"]]
