@@ -184,11 +184,12 @@ class Esdirk(diffrax.AbstractAdaptiveSolver):
                 lambda: about(t0 + 0.5 * h, 0.5 * h * rates[0], multipliers[0]),
                 lambda: close,
             )
-            # Nothing is asked for where the first stage is known, or one before was not found.
-            first = (index == 0) & known
+            # Nothing is asked for where the first stage is known, or one before was not found and the
+            # step will be tried again.
+            first, again = (index == 0) & known, ~fine & (self.tolerance is not None)
             idle = Unknowns(jnp.where(first, begun, guess.rate), guess.multipliers)
             solved = lax.cond(
-                first | ~fine,
+                first | again,
                 lambda: Found(idle, fine, jnp.zeros((), int)),
                 lambda: solved_stage(at, h, chart, args, close, guess, enough),
             )
