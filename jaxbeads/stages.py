@@ -13,7 +13,6 @@ iterations they take (`solver/esdirk.py`). Nothing is linearised as a whole, and
 within an iteration. Derivatives are those of the two equations at the solution.
 """
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -30,7 +29,7 @@ from .iterations import accelerated
 from .near import Near, Unknowns
 from .saddle import constraint_map
 from .scene import Scene
-from .state import Load, State, add_loads, add_motions, zero_motion
+from .state import Load, add_loads, add_motions, zero_motion
 
 _SMALL = 1e-2
 """Weight of the multipliers, over the largest of them, beside displacements over their units."""
@@ -70,7 +69,7 @@ def residual(
     chart: AbstractCoordinates,
     scene: Scene,
     differentiable: bool = True,
-    beside: Callable[[State], Load] | None = None,
+    beside: Load | None = None,
 ) -> Unknowns:
     """k - f and J V + B; one product with M, to the error that it allows unless it is differentiable.
     There may be loads `beside` those of the scene.
@@ -79,7 +78,7 @@ def residual(
     state = chart.state(x)
     load, ambient = _load(t, x, at.multipliers, chart, scene), ambient_motion(t, state, scene)
     if beside is not None:
-        load = add_loads(load, beside(state))
+        load = add_loads(load, beside)
     if load.force is None and load.torque is None:
         motion = zero_motion(state, scene.rotational)
     else:
@@ -144,38 +143,31 @@ def _stage(
     enough: Array,
 ) -> Found:
     scale, implicit = _scale(h, chart, guess.multipliers), stage.ahead != 0
+    first, touches = scale.joined(guess), near.touches
+    count, most = len(first), jnp.ones((), first.dtype)
+    if touches is not None:  # pushes of pairs are unknowns, too
+        position = chart.state(stage.base + stage.ahead * guess.rate).position
+        push = touches.first(position, implicit)
+        most = jnp.max(jnp.abs(push), initial=0.0)
+        most = jnp.where(most > 0, most, 1.0) / _SMALL
+        first = jnp.concatenate([first, push / most])
 
     def step(numbers: Array) -> tuple[Array, Array]:
-        off = residual(stage, scale.parted(numbers), chart, scene, differentiable=False)
-        change = near.answer(off, implicit)
-        size = jnp.max(jnp.abs(change.rate * scale.rate), initial=0.0)
-        return scale.joined(change), size
-
-    def meeting(numbers: Array) -> tuple[Array, Array]:
-        """Pushes of pairs are unknowns, too."""
-        touches: Any = near.touches
-        numbers, push = numbers[:count], numbers[count:] * most
-        at = scale.parted(numbers)
-
-        def beside(state: State) -> Load:
-            return Load(touches.beside(state.position, push))
-
-        off = residual(stage, at, chart, scene, False, beside)
-        gap = touches.pairs.gap(chart.state(stage.base + stage.ahead * at.rate).position)
-        change, pushed = near.met(off, implicit, gap, push)
+        at, push = scale.parted(numbers[:count]), numbers[count:] * most
+        gap, beside = push, None
+        if touches is not None:
+            state = chart.state(stage.base + stage.ahead * at.rate)
+            gap = touches.pairs.gap(state.position)
+            beside = Load(touches.beside(state.position, push))
+        off = residual(stage, at, chart, scene, differentiable=False, beside=beside)
+        if touches is None:
+            change, pushed = near.answer(off, implicit), push
+        else:
+            change, pushed = near.met(off, implicit, gap, push)
         size = jnp.max(jnp.abs(change.rate * scale.rate), initial=0.0)
         return jnp.concatenate([scale.joined(change), pushed / most]), size
 
-    first = scale.joined(guess)
-    count = len(first)
-    if near.touches is None:
-        found = accelerated(step, first, enough)
-    else:
-        position = chart.state(stage.base + stage.ahead * guess.rate).position
-        push = near.touches.first(position, implicit)
-        most = jnp.max(jnp.abs(push), initial=0.0)
-        most = jnp.where(most > 0, most, 1.0) / _SMALL
-        found = accelerated(meeting, jnp.concatenate([first, push / most]), enough)
+    found = accelerated(step, first, enough)
     return Found(scale.parted(found.solution[:count]), found.converged, found.iterations)
 
 

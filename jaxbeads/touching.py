@@ -27,6 +27,7 @@ from jaxtyping import Array, Float, Int
 from .chain import Chain
 from .factors import inverse, solve
 from .force import AbstractTouching
+from .geometry import unit
 
 MOST_PAIRS = 512
 """Pairs that are taken together."""
@@ -118,12 +119,8 @@ class Touches(eqx.Module):
 
     def beside(self, position: Float[Array, "beads dim"], push: Pairs) -> Float[Array, "beads dim"]:
         """What forces on the beads are more where pairs push so, and not as their gaps say."""
-        way = self.pairs.apart(position)
-        size = jnp.linalg.norm(way, axis=1, keepdims=True)
         more = push - _push(self.pairs, self.pairs.gap(position))
-        force = (more / jnp.where(size > 0, size, 1.0).T[0])[:, None] * way
-        none = jnp.zeros_like(position)
-        return none.at[self.pairs.first].add(force).at[self.pairs.second].add(-force)
+        return self._on_beads(more[:, None] * unit(self.pairs.apart(position)), len(position))
 
     def met(self, rate: Parts, gap: Pairs, push: Pairs) -> Pairs:
         """Change of pushes, which need not be those of the gaps, where fibres alone would go at these
@@ -158,7 +155,9 @@ class Touches(eqx.Module):
 
     def forces(self, push: Pairs, beads: int) -> Float[Array, "beads dim"]:
         """Those of pushes on the beads."""
-        force = push[:, None] * self.pairs.direction
+        return self._on_beads(push[:, None] * self.pairs.direction, beads)
+
+    def _on_beads(self, force: Float[Array, "pairs dim"], beads: int) -> Float[Array, "beads dim"]:
         none = jnp.zeros((beads, force.shape[1]), force.dtype)
         return none.at[self.pairs.first].add(force).at[self.pairs.second].add(-force)
 

@@ -9,10 +9,11 @@ from jax.flatten_util import ravel_pytree
 from scipy.optimize import brentq
 
 import jaxbeads as jb
-from jaxbeads import ESDIRK, Chain, Scene, Setting, State, neighbours
+from jaxbeads import ESDIRK, Chain, Scene, Setting, State, neighbours, touching
 from jaxbeads.constraint import Gears
 from jaxbeads.coordinates import coordinates
 from jaxbeads.force import Bending, Contact, ForceField
+from jaxbeads.iterations import MOST_ACCELERATED
 from jaxbeads.mobility import RPY, FreeDraining
 from jaxbeads.near import Unknowns, near
 from jaxbeads.neighbours import largest
@@ -152,13 +153,28 @@ def test_a_stage_in_which_spheres_meet(push):
     assert int(found.products) < 8
 
 
+def test_a_stage_whose_pushes_are_not_found_is_not_taken(monkeypatch):
+    monkeypatch.setattr(touching, "_MOST", 1)
+    scene, chart = pressed(300.0)
+    ahead = jnp.asarray(6 * np.pi * 10.0)
+    at = Unknowns(jnp.zeros_like(chart.origin), jnp.zeros(0))
+    close = near.__wrapped__(TIME, chart.origin, ahead, chart, scene, at.multipliers)
+    stage = Stage(TIME, chart.origin, ahead)
+    found = solved_stage(stage, 4 * ahead, chart, scene, close, at, jnp.asarray(1e-12))
+    assert not found.fine
+
+
+def begun(scene, chart):
+    """A run of implicit steps: its stepper and where it is after some of them."""
+    ts = jnp.array([0.0, 40.0])
+    stepper = stepper_for(scene, ts, ESDIRK(tolerance=1e-6))
+    carry = stepper.interval(scene, stepper.init(scene, chart.start, *ts), *ts)
+    return stepper, carry, ts
+
+
 def test_steps_begin_with_what_was_found_at_the_end():
     scene, chart, _ = crossed(0.05, mobility=RPY())
-    solver = ESDIRK(tolerance=1e-6)
-    ts = jnp.array([0.0, 40.0])
-    stepper = stepper_for(scene, ts, solver)
-    carry = stepper.init(scene, chart.start, *ts)
-    carry = stepper.interval(scene, carry, *ts)
+    stepper, carry, ts = begun(scene, chart)
     kept = carry.memory
     assert bool(kept.solver.known)
     now = jb.dynamics.rate(kept.previous, kept.state, scene)
@@ -166,3 +182,16 @@ def test_steps_begin_with_what_was_found_at_the_end():
     assert np.abs(kept.solver.moving.position - now.position).max() < 1e-3 * size + 1e-9
     dense = jb.rollout(scene, chart.start, ts, solver=jb.Rosenbrock(tolerance=1e-8)).final
     assert np.abs(carry.state.position - dense.position).max() < 1e-3
+
+    @jax.jit
+    def products(known, end):
+        before = eqx.tree_at(lambda a: [a.solver.known, a.next], kept, [known, kept.previous + end])
+        scheme = stepper.solver.scheme
+        args = None, kept.previous, before.next, kept.state, scene, before.solver
+        *_, memory, _ = scheme.step(*args, jnp.asarray(False))
+        return memory.products - kept.solver.products
+
+    # There is nothing to look for at the begin of a step; and nothing after a stage that is not found.
+    length = kept.next - kept.previous
+    assert products(True, length) < products(False, length)
+    assert MOST_ACCELERATED <= products(True, 1e6 * length) < 2 * MOST_ACCELERATED

@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._checks import non_negative, positive, shape
 from .._typing import float_array
 from ..domain import AbstractHalfSpace, Unbounded
+from ..geometry import norm, unit
 from ..neighbours import largest, near_sums
 from ..pairs import pair_sums, separations
 from ..setting import Setting
@@ -144,11 +145,8 @@ class Contact(AbstractForce):
         beads, reach = self._beads(state, scene)
         reach = reach + _SOON * radius
         first, second, found = largest(nearness, beads, scene.chain.fibres, reach, most)
-        pairs = _Touching(first, second, state.position[first], found > 0, self, scene)
-        way = pairs.apart(state.position)
-        size = jnp.linalg.norm(way, axis=1, keepdims=True)
-        way = way / jnp.where(size > 0, size, 1.0)
-        return eqx.tree_at(lambda p: p.direction, pairs, way)
+        way = unit(_apart(state.position, first, second, scene))
+        return _Touching(first, second, way, found > 0, self, scene)
 
     def _apart(
         self, to: tuple[Array, ...], of: tuple[Array, ...], scene: Setting
@@ -202,6 +200,14 @@ class Contact(AbstractForce):
         return jnp.zeros(len(position)) if clearance is None else clearance
 
 
+def _apart(
+    position: Array, first: Array, second: Array, scene: Setting
+) -> Float[Array, "pairs dim"]:
+    """r_i - r_j, of nearest images."""
+    way = position[first] - position[second]
+    return jnp.stack(scene.domain.nearest(list(way.T), 1.0), axis=1)
+
+
 class _Touching(AbstractTouching):
     """Pairs of `Contact`."""
 
@@ -214,15 +220,12 @@ class _Touching(AbstractTouching):
 
     def apart(self, position: Float[Array, "beads dim"]) -> Float[Array, "pairs dim"]:
         """r_i - r_j."""
-        way = position[self.first] - position[self.second]
-        return jnp.stack(self.scene.domain.nearest(list(way.T), 1.0), axis=1)
+        return _apart(position, self.first, self.second, self.scene)
 
     def gap(self, position: Float[Array, "beads dim"]) -> Float[Array, " pairs"]:
         """Distances of the surfaces [length]."""
-        square = jnp.sum(self.apart(position) ** 2, axis=1)
         radii = self.scene.chain.radii
-        distance = jnp.sqrt(jnp.where(square > 0, square, 1.0))
-        return jnp.where(square > 0, distance, 0.0) - radii[self.first] - radii[self.second]
+        return norm(self.apart(position)) - radii[self.first] - radii[self.second]
 
     def push(self, gap: Float[Array, " pairs"]) -> Float[Array, " pairs"]:
         """Repulsion at distances of the surfaces [force]."""
