@@ -155,7 +155,8 @@ def test_a_stage_in_which_spheres_meet(push):
 
 def test_a_stage_whose_pushes_are_not_found_is_not_taken(monkeypatch):
     monkeypatch.setattr(touching, "_MOST", 0)
-    scene, chart = pressed(7.45)  # a push of e^2, with which Newton's method begins, is nearly enough
+    # A push of e^2, with which Newton's method begins, is nearly enough.
+    scene, chart = pressed(7.45)
     ahead = jnp.asarray(6 * np.pi * 10.0)
     at = Unknowns(jnp.zeros_like(chart.origin), jnp.zeros(0))
     close = near.__wrapped__(TIME, chart.origin, ahead, chart, scene, at.multipliers)
