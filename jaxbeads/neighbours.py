@@ -23,19 +23,24 @@ _EACH = 8
 
 def near_sums(
     fields: Callable[[Any, Any], Sequence[Field]],
+    met: Callable[[Any, Any], Bool[Array, "to of"]],
     beads: tuple[Array, ...],
     pieces: tuple[int, ...],
     reach: Float[Array, ""],
 ) -> list[Array]:
-    """As `pair_sums` where fields are 0 beyond a reach, and the first of the arrays are positions: of
-    many beads only those in blocks that are near, or all where too many are.
+    """As `pair_sums` where fields are 0 but for pairs that are met, none of them beyond a reach: of many
+    beads only blocks that are near, and only where a pair is met, or all where too many are near.
+
+    **Arguments**: function of two sets of beads, to and of, that returns fields (to, of); one that says
+    of which pairs they may be other than 0; arrays with a row for each bead, the first of positions;
+    beads of each fibre; reach.
 
     >>> import jax.numpy as jnp
     >>> from jaxbeads.neighbours import near_sums
     >>> x = jnp.array([[0.0, 0.0], [1.0, 0.0], [9.0, 0.0]])
     >>> def close(to, of):
-    ...     return [abs(to[0][:, None, 0] - of[0][None, :, 0]) < 2]
-    >>> print(near_sums(close, (x,), (3,), jnp.array(2.0))[0])
+    ...     return abs(to[0][:, None, 0] - of[0][None, :, 0]) < 2
+    >>> print(near_sums(lambda to, of: [close(to, of)], close, (x,), (3,), jnp.array(2.0))[0])
     [2. 2. 1.]
     """
     if len(beads[0]) < LEAST:
@@ -44,7 +49,13 @@ def near_sums(
 
     def block(k: Array) -> list[Array]:
         to, of, real = blocks.some(k, beads)
-        return [jnp.where(real, field, 0.0).sum(axis=1) for field in fields(to, of)]
+
+        def sums() -> list[Array]:
+            return [jnp.where(real, field, 0.0).sum(axis=1) for field in fields(to, of)]
+
+        shapes = jax.eval_shape(sums)
+        none = [jnp.zeros(x.shape, x.dtype) for x in shapes]
+        return lax.cond(jnp.any(met(to, of).any(axis=0) & real), sums, lambda: none)
 
     def few() -> list[Array]:
         found = lax.map(jax.checkpoint(block), jnp.arange(len(blocks.rows)))

@@ -152,25 +152,38 @@ def plain(configuration: Configuration) -> bool:
     return isinstance(configuration.domain, (Unbounded, AbstractHalfSpace))
 
 
-def block_sums(
+def neighbour_sums(rows: Int[Array, " rows"], every: Beads, task: Task) -> list[Array]:
+    """Velocities and spins of a block of beads, by their numbers, times the viscosity, component by
+    component, that come from their neighbours.
+    """
+    start, near = _neighbours(rows, every)
+    places = rows, start + jnp.arange(near)
+    to, of = (jax.tree.map(lambda x, at=at: x[at], every) for at in places)
+    return all_sums(to, of, task)
+
+
+def other_sums(
     rows: Int[Array, " rows"], every: Beads, of: Beads, numbers: Int[Array, " of"], task: Task
 ) -> list[Array]:
-    """Velocities and spins of a block of beads times the viscosity, component by component.
+    """The same that come from beads that are none of their neighbours.
 
     **Arguments**: numbers of the beads; all beads; those that move them, and their numbers (-1: not
-    there); their neighbours are among them.
+    there), neighbours or not.
     """
-    beads = len(every.position)
-    near = min(len(rows) + 2 * NEIGHBOURS, beads)
-    start = jnp.clip(rows[0] - NEIGHBOURS, 0, beads - near)
-    places = rows, start + jnp.arange(near)
-    to, close = (jax.tree.map(lambda x, at=at: x[at], every) for at in places)
+    start, near = _neighbours(rows, every)
+    to = jax.tree.map(lambda x: x[rows], every)
     away = ((numbers < start) | (numbers >= start + near)) & (numbers >= 0)
     far = of._replace(load=jax.tree.map(lambda x: jnp.where(away[:, None], x, 0.0), of.load))
     found, overlap = separate_sums(to, far, task)
     fine = overlap.astype(jnp.float32) @ away.astype(jnp.float32) == 0
-    apart = lax.cond(jnp.all(fine), lambda: found, lambda: all_sums(to, far, task))
-    return [a + b for a, b in zip(all_sums(to, close, task), apart, strict=True)]
+    return lax.cond(jnp.all(fine), lambda: found, lambda: all_sums(to, far, task))
+
+
+def _neighbours(rows: Int[Array, " rows"], every: Beads) -> tuple[Int[Array, ""], int]:
+    """The first of the neighbours of a block, which are in it or beside it, and how many there are."""
+    beads = len(every.position)
+    near = min(len(rows) + 2 * NEIGHBOURS, beads)
+    return jnp.clip(rows[0] - NEIGHBOURS, 0, beads - near), near
 
 
 def beads_of(configuration: Configuration, load: Load, single: bool) -> tuple[Beads, Task]:
@@ -203,8 +216,11 @@ def motion(configuration: Configuration, load: Load, single: bool = False) -> Mo
     rows = blocks_of(pieces, int(np.clip(PAIRS // beads, *ROWS)))
     (every, task), numbers = beads_of(configuration, load, single), jnp.arange(beads)
 
-    def blocks(rows: Array) -> list[Array]:
-        return lax.map(lambda at: block_sums(at, every, every, numbers, task), rows)
+    def block(rows: Array) -> list[Array]:
+        near = neighbour_sums(rows, every, task)
+        return [
+            a + b for a, b in zip(near, other_sums(rows, every, every, numbers, task), strict=True)
+        ]
 
-    found = shared(blocks, jnp.asarray(rows), beads * beads)
+    found = shared(lambda rows: lax.map(block, rows), jnp.asarray(rows), beads * beads)
     return joined(found, rows, configuration)

@@ -7,8 +7,8 @@ are interpolated to the beads. With p nodes the error falls like rho^-p, rho = c
 bead is c halves of a segment away from its middle. Segments that are near interact bead by bead
 (`products`).
 
-Where a fibre bends so much that its beads are not where interpolation puts them, or more segments are
-near to one than there is room for, everything is summed bead by bead: slower, never wrong.
+Segments whose beads are not where interpolation puts them, since the fibre bends or kinks, interact bead
+by bead with all.
 """
 
 from typing import NamedTuple
@@ -26,9 +26,10 @@ from .products import (
     Beads,
     Task,
     beads_of,
-    block_sums,
     blocks_of,
     joined,
+    neighbour_sums,
+    other_sums,
     separate_sums,
 )
 from .shares import shared
@@ -36,10 +37,16 @@ from .state import Load, Motion
 
 BEADS = 50
 """Beads of a segment, at most."""
-ROOM = 64, 96
-"""Segments that may be near to one: a third of all, within these bounds."""
+TOGETHER = 8
+"""Segments near to one that are summed at a time."""
+LEAST = 2000
+"""Beads from which on this is done."""
 APART = 2.5
 """Reaches of a segment between its middle and what is far."""
+OFF = 10
+"""How far beads may be from where interpolation puts them, over the error and the reach: what is far
+changes little over a reach (a cloud of 100 fibres: the error grows by 0.04 of that distance).
+"""
 SINGLE = 1e-6
 """Error from which on single precision will do."""
 
@@ -57,11 +64,6 @@ class _Segments(NamedTuple):
     """Of nodes, for each bead, (segments, beads, nodes); 0 for what is repeated."""
     band: np.ndarray
     """Which hold neighbours of the beads of each, (segments, segments)."""
-
-    @property
-    def room(self) -> int:
-        """How many may be near to one."""
-        return min(len(self.rows), max(ROOM[0], min(ROOM[1], len(self.rows) // 3)))
 
 
 def interpolation(beads: int, nodes: int) -> tuple[np.ndarray, np.ndarray]:
@@ -98,21 +100,18 @@ def _segments(pieces: tuple[int, ...], nodes: int) -> _Segments:
     )
 
 
-def _near(
-    position: Array, segments: _Segments, error: float
-) -> tuple[Bool[Array, "segments segments"], Bool[Array, ""]]:
-    """Which segments interact bead by bead, and whether the others may do otherwise."""
+def _near(position: Array, segments: _Segments, error: float) -> Bool[Array, "segments segments"]:
+    """Which segments interact bead by bead."""
     x, nodes = position[segments.rows], position[segments.nodes]
     middle = jnp.mean(nodes, axis=1)
     reach = jnp.max(jnp.linalg.norm(x - middle[:, None], axis=2), axis=1)
     apart = jnp.linalg.norm(middle[:, None] - middle[None], axis=2)
     one, other = reach[:, None], reach[None]
     near = apart < jnp.minimum(one, other) + APART * jnp.maximum(one, other)
-    near = near | segments.band
     between = jnp.einsum("sbp,spc->sbc", segments.weights, nodes)
     off = jnp.linalg.norm(x - between, axis=2) * segments.there
-    smooth = jnp.max(off, axis=1) <= 3 * error * reach
-    return near, jnp.all(smooth) & jnp.all(jnp.sum(near, axis=1) <= segments.room)
+    smooth = jnp.max(off, axis=1) <= OFF * error * reach  # not where there is NaN
+    return near | segments.band | ~smooth[:, None] | ~smooth[None]
 
 
 def _sums(every: Beads, task: Task, segments: _Segments, near: Array) -> list[Array]:
@@ -120,13 +119,26 @@ def _sums(every: Beads, task: Task, segments: _Segments, near: Array) -> list[Ar
     rows, nodes = jnp.asarray(segments.rows), jnp.asarray(segments.nodes)
     weights = jnp.asarray(segments.weights, every.position.dtype)
     number, each = nodes.shape
-    _, others = lax.top_k(near.astype(jnp.float32), segments.room)
+    turns = -(-number // TOGETHER)
     numbers = jnp.where(jnp.asarray(segments.there), rows, -1)
 
     def close(k: Array) -> list[Array]:
-        there = jnp.where(near[k, others[k]][:, None], numbers[others[k]], -1)
-        of = jax.tree.map(lambda x: x[rows[others[k]].ravel()], every)
-        return block_sums(rows[k], every, of, there.ravel(), task)
+        count = jnp.sum(near[k])
+        # Those that are near first.
+        others = jnp.argsort(~near[k], stable=True)
+        others = jnp.pad(others, (0, turns * TOGETHER - number))
+
+        def more(turn: tuple[Array, list[Array]]) -> tuple[Array, list[Array]]:
+            begin, sums = turn
+            some = lax.dynamic_slice(others, (begin,), (TOGETHER,))
+            real = begin + jnp.arange(TOGETHER) < count
+            there = jnp.where(real[:, None], numbers[some], -1)
+            of = jax.tree.map(lambda x: x[rows[some].ravel()], every)
+            found = other_sums(rows[k], every, of, there.ravel(), task)
+            return begin + TOGETHER, [a + b for a, b in zip(sums, found, strict=True)]
+
+        first = jnp.zeros((), count.dtype), neighbour_sums(rows[k], every, task)
+        return lax.while_loop(lambda turn: turn[0] < count, more, first)[1]
 
     def handed(bears: Array) -> Array:
         return jnp.einsum("sbp,sbc->spc", weights, bears[rows]).reshape(number * each, -1)
@@ -134,17 +146,15 @@ def _sums(every: Beads, task: Task, segments: _Segments, near: Array) -> list[Ar
     at = every.position[nodes]
     of = Beads(at.reshape(number * each, -1), None, jax.tree.map(handed, every.load))
 
-    def far(
-        k: Array,
-    ) -> list[Array]:  # one by one: positions are rounded from a bead of the segment
+    # One by one: positions are rounded from a bead of the segment.
+    def far(k: Array) -> list[Array]:
         apart = jnp.broadcast_to(jnp.repeat(~near[k], each), (each, number * each))
         return separate_sums(Beads(at[k], None, Load()), of, task, apart)[0]
 
     pairs = number * each * number * each
     moved = shared(lambda some: lax.map(far, some), jnp.arange(number), pairs)
     spread = [jnp.einsum("sbp,sp->sb", weights, v) for v in moved]
-    pairs = rows.size * segments.room * rows.shape[1]
-    together = shared(lambda some: lax.map(close, some), jnp.arange(number), pairs)
+    together = shared(lambda some: lax.map(close, some), jnp.arange(number), rows.size * rows.size)
     return [a + b for a, b in zip(together, spread, strict=True)]
 
 
@@ -158,16 +168,10 @@ def motion(configuration: Configuration, load: Load, error: float) -> Motion:
     """
     beads, pieces = configuration.beads, configuration.pieces or (configuration.beads,)
     nodes = int(np.clip(np.ceil(12 + 2 * np.log10(1e-6 / error)), 8, 24))
-    enough = beads > 2 * ROOM[0] * BEADS and beads > 2 * nodes * len(pieces)
+    enough = beads >= LEAST and beads > 2 * nodes * len(pieces)
     if not enough or configuration.radius.ndim or not products.plain(configuration):
         return products.motion(configuration, load, single=error >= SINGLE)
     segments = _segments(pieces, nodes)
-    near, fine = _near(configuration.position, segments, error)
+    near = _near(configuration.position, segments, error)
     every, task = beads_of(configuration, load, error >= SINGLE)
-
-    def fast() -> Motion:
-        return joined(_sums(every, task, segments, near), segments.rows, configuration)
-
-    return lax.cond(
-        fine, fast, lambda: products.motion(configuration, load, single=error >= SINGLE)
-    )
+    return joined(_sums(every, task, segments, near), segments.rows, configuration)

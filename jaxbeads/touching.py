@@ -29,8 +29,8 @@ from .factors import inverse, solve
 from .force import AbstractTouching
 from .geometry import unit
 
-MOST_PAIRS = 512
-"""Pairs that are taken together."""
+MOST_PAIRS, FEW_PAIRS = 512, 64
+"""Pairs that are taken together; of so few less is solved."""
 _PART = 4
 """Numbers of a fibre over the most pairs that it takes part in."""
 _FEWEST = 4
@@ -74,12 +74,12 @@ def placed(
 
 
 def stiffness(pairs: AbstractTouching, gap: Pairs) -> Pairs:
-    """-dp/ds of pairs that are there."""
+    """-dp/ds of the first pairs, if they are there."""
     return -jax.jvp(lambda s: _push(pairs, s), (gap,), (jnp.ones_like(gap),))[1]
 
 
 def _push(pairs: AbstractTouching, gap: Pairs) -> Pairs:
-    return jnp.where(pairs.there, pairs.push(gap), 0.0)
+    return jnp.where(pairs.there[: len(gap)], pairs.push(gap), 0.0)
 
 
 class Touches(eqx.Module):
@@ -127,9 +127,26 @@ class Touches(eqx.Module):
         rates; NaN where none is found.
         """
         alone = gap + self.ahead * self._along(self.parting, rate) - self.opened @ push
+        number = len(push)
+        if number <= FEW_PAIRS:
+            return self._pressed(alone) - push
+        # Nearest pairs come first.
+        last = jnp.max(jnp.where(self.pairs.there, jnp.arange(1, number + 1), 0))
+
+        def few() -> Pairs:
+            return jnp.pad(self._pressed(alone[:FEW_PAIRS]), (0, number - FEW_PAIRS))
+
+        return lax.cond(last <= FEW_PAIRS, few, lambda: self._pressed(alone)) - push
+
+    def _pressed(self, alone: Pairs) -> Pairs:
+        """Pushes of the first pairs, the others without any, from the gaps that there would be without;
+        NaN where none are found.
+        """
+        number = len(alone)
+        opened = self.opened[:number, :number]
 
         def off(s: Pairs) -> Pairs:
-            return s - alone - self.opened @ _push(self.pairs, s)
+            return s - alone - opened @ _push(self.pairs, s)
 
         def unfinished(turn: tuple[Array, ...]) -> Array:
             _, left, count = turn
@@ -138,7 +155,7 @@ class Touches(eqx.Module):
         def newton(turn: tuple[Array, ...]) -> tuple[Array, ...]:
             s, left, count = turn
             stiff = stiffness(self.pairs, s)
-            matrix = jnp.eye(len(s), dtype=s.dtype) + self.opened * stiff[None, :]
+            matrix = jnp.eye(number, dtype=s.dtype) + opened * stiff[None, :]
             # From where a push is too small its tangent leads far too deep.
             s = s + jnp.maximum(-solve(matrix, left), -0.5 * jnp.abs(self.pairs.deep))
             return s, off(s), count + 1
@@ -147,7 +164,7 @@ class Touches(eqx.Module):
         turn = first, off(first), jnp.zeros((), int)
         s, left, _ = lax.while_loop(unfinished, newton, turn)
         found = jnp.max(jnp.abs(left), initial=0.0) <= _STILL * self.enough
-        return jnp.where(found, _push(self.pairs, s) - push, jnp.nan)
+        return jnp.where(found, _push(self.pairs, s), jnp.nan)
 
     def moved(self, push: Pairs) -> Parts:
         """W p."""

@@ -153,6 +153,21 @@ def test_a_stage_in_which_spheres_meet(push):
     assert int(found.products) < 8
 
 
+@pytest.mark.parametrize(("gap", "there"), [(1.2, 1), (0.02, 4)])
+def test_few_pairs_are_pressed_as_many_are(gap, there, monkeypatch):
+    scene, chart, _ = crossed(gap)
+    close = near(TIME, chart.origin, jnp.asarray(3.0), chart, scene, jnp.zeros(27))
+    touches, x = close.touches, chart.start.position
+    assert int(touches.pairs.there.sum()) == there and len(touches.which[0]) == 4
+    rate = -5 * touches.parting.sum(axis=1)  # towards one another
+    given = rate, touches.pairs.gap(x), touches.first(x, YES)
+    expected = np.asarray(touches.met(*given))
+    assert np.abs(expected).max() > 1
+    for few in range(1, 5):  # as many as that at the most are taken by themselves
+        monkeypatch.setattr(touching, "FEW_PAIRS", few)
+        assert np.abs(touches.met(*given) - expected).max() < 1e-9 * np.abs(expected).max()
+
+
 def test_a_stage_whose_pushes_are_not_found_is_not_taken(monkeypatch):
     monkeypatch.setattr(touching, "_MOST", 0)
     # A push of e^2, with which Newton's method begins, is nearly enough.

@@ -173,7 +173,13 @@ class Contact(AbstractForce):
     def _sums(self, fields: Fields, state: State, scene: Setting) -> list[Array]:
         """Sums of fields that end at the roughness."""
         beads, reach = self._beads(state, scene)
-        return near_sums(fields, beads, scene.chain.fibres, reach)
+
+        def met(to: tuple[Array, ...], of: tuple[Array, ...]) -> Bool[Array, "to of"]:
+            d, skip = self._apart(to, of, scene)
+            furthest = to[1][:, None] + of[1][None, :] + self.roughness
+            return ~skip & ~(sum(x * x for x in d) > furthest**2)  # also where there is NaN
+
+        return near_sums(fields, met, beads, scene.chain.fibres, reach)
 
     def _beads(self, state: State, scene: Setting) -> tuple[tuple[Array, ...], Array]:
         """Position, radius, number and fibre of each, and how far they reach."""

@@ -62,7 +62,7 @@ class RPY(AbstractMobility):
       and steady states need the tables. By default up to 1000 beads.
     - `far_error`: error of the velocities, over the largest, that the influence of beads far away may
       have in the steps of `ESDIRK` in an unbounded fluid, where there are no tables; from 1e-6 on they
-      are in single precision, and from some 6000 beads in long fibres on their segments interact by a
+      are in single precision, and from 2000 beads in long fibres on their segments interact by a
       few beads (`jaxbeads.segments`). Derivatives are those of the exact sums. 0: none but rounding.
     - `devices`: how many devices share the pairs of beads out among them, where it is not dense (0: all,
       of all processes). By default one does all. Results are the same to rounding.

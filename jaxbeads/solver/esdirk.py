@@ -72,11 +72,13 @@ _WITHOUT = 1e-3
 """The tolerance where there is none, over the usual one."""
 
 
-def _at_least(error: State, size: Array) -> State:
-    """An error as large, at its largest, as said."""
-    largest = jnp.max(norm(error.position))
-    factor = lax.stop_gradient(jnp.maximum(1.0, size / jnp.where(largest > 0, largest, 1.0)))
-    return eqx.tree_at(lambda e: e.position, error, error.position * factor)
+def _at_least(error: State, size: Array, fine: Array) -> State:
+    """An error as large, at its largest, as said: at least, or just so where stages were not found."""
+    position = jnp.where(fine, error.position, 1.0)  # of those there may be no numbers
+    largest = jnp.max(norm(position))
+    factor = size / jnp.where(largest > 0, largest, 1.0)
+    factor = lax.stop_gradient(jnp.where(fine, jnp.maximum(1.0, factor), factor))
+    return eqx.tree_at(lambda e: e.position, error, position * factor)
 
 
 def _guesses() -> np.ndarray:
@@ -220,6 +222,9 @@ class Esdirk(diffrax.AbstractAdaptiveSolver):
         first = (*none, jnp.asarray(True), products, jnp.zeros((), int), close)
         found, _ = lax.scan(stage, first, table)
         rates, multipliers, fine, products, most, _ = found
+        if self.tolerance is not None:
+            # Of a step that will be tried again nothing is known, also not on its way.
+            rates = jnp.where(fine, rates, 0.0)
         x1 = h * (jnp.asarray(_A[5], dtype) @ rates)
         error = h * (jnp.asarray(_ERROR, dtype) @ rates)
         y1, other = chart.state(x1), chart.state(x1 - error)
@@ -230,7 +235,7 @@ class Esdirk(diffrax.AbstractAdaptiveSolver):
             allowed = jnp.clip(_MANY / most.astype(dtype), 0.95, _LONGEST)
             allowed = jnp.where(fine, allowed, _SHORTER)
             least = tolerance * jnp.max(args.chain.length) * (_SAFETY / allowed) ** 4
-            off = _at_least(off, lax.stop_gradient(least))
+            off = _at_least(off, lax.stop_gradient(least), fine)
             fine = fine | (jnp.max(jnp.abs(off.position)) > 0)  # else nothing tells it
         begin, end = h * rates[0], h * rates[5]
         bend = jnp.stack([begin - x1, 2 * x1 - begin - end])
