@@ -7,8 +7,8 @@ are interpolated to the beads. With p nodes the error falls like rho^-p, rho = c
 bead is c halves of a segment away from its middle. Segments that are near interact bead by bead
 (`products`).
 
-Segments whose beads are not where interpolation puts them, since the fibre bends or kinks, interact bead
-by bead with all.
+Where beads are not where interpolation puts them, since a fibre bends or kinks, velocities are off by
+about that over the distance: such segments interact bead by bead up to where it is little, or with all.
 """
 
 from typing import NamedTuple
@@ -43,9 +43,8 @@ LEAST = 2000
 """Beads from which on this is done."""
 APART = 2.5
 """Reaches of a segment between its middle and what is far."""
-OFF = 10
-"""How far beads may be from where interpolation puts them, over the error and the reach: what is far
-changes little over a reach (a cloud of 100 fibres: the error grows by 0.04 of that distance).
+OFF = 3.0
+"""How far beads may be from where interpolation puts them, over the error and the distance of segments.
 """
 SINGLE = 1e-6
 """Error from which on single precision will do."""
@@ -106,12 +105,12 @@ def _near(position: Array, segments: _Segments, error: float) -> Bool[Array, "se
     middle = jnp.mean(nodes, axis=1)
     reach = jnp.max(jnp.linalg.norm(x - middle[:, None], axis=2), axis=1)
     apart = jnp.linalg.norm(middle[:, None] - middle[None], axis=2)
-    one, other = reach[:, None], reach[None]
-    near = apart < jnp.minimum(one, other) + APART * jnp.maximum(one, other)
     between = jnp.einsum("sbp,spc->sbc", segments.weights, nodes)
-    off = jnp.linalg.norm(x - between, axis=2) * segments.there
-    smooth = jnp.max(off, axis=1) <= OFF * error * reach  # not where there is NaN
-    return near | segments.band | ~smooth[:, None] | ~smooth[None]
+    off = jnp.max(jnp.linalg.norm(x - between, axis=2) * segments.there, axis=1)
+    one, other = reach[:, None], reach[None]
+    enough = jnp.minimum(one, other) + APART * jnp.maximum(one, other)
+    rough = jnp.maximum(off[:, None], off[None]) / (OFF * error)
+    return segments.band | ~(apart >= jnp.maximum(enough, rough))  # also where there is NaN
 
 
 def _sums(every: Beads, task: Task, segments: _Segments, near: Array) -> list[Array]:

@@ -29,7 +29,7 @@ __all__ = ["CLOUD", "SHEAR_SUSPENSION", "cloud", "shear_suspension"]
 
 _TRIES = 1000
 """Directions that are tried for a fibre."""
-_MOBILITY = RPY(far_error=1e-6)
+_MOBILITY = RPY(far_error=1e-5)
 """What is measured has four digits."""
 
 
