@@ -10,8 +10,9 @@ and positions from one of their beads are rounded last. What neighbours do to on
 forces within a fibre, is summed in double precision.
 """
 
+from collections.abc import Callable
 from functools import reduce
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +23,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .coefficients import factors, separate
 from .configuration import Configuration
 from .domain import AbstractHalfSpace, Unbounded
-from .pairs import CROSS, Radii, blocks_of, radii_of, separations
+from .pairs import CROSS, Radii, blocks_of, radii_of, rows_of, separations
 from .shares import shared
 from .state import Load, Motion, spins
 from .tensors import as_motion, pushed, rpy_motion
@@ -31,6 +32,8 @@ PAIRS = 2**19
 """Pairs that are computed at a time, but for so many rows."""
 ROWS = 8, 64
 """The least and the most beads that are moved at a time."""
+SOURCES = 2**14
+"""The most beads that move others at a time."""
 NEIGHBOURS = 32
 """Beads on either side along the chain that count as neighbours."""
 LEAST = 8 * NEIGHBOURS
@@ -186,6 +189,33 @@ def _neighbours(rows: Int[Array, " rows"], every: Beads) -> tuple[Int[Array, ""]
     return jnp.clip(rows[0] - NEIGHBOURS, 0, beads - near), near
 
 
+def _in_parts(
+    sums: Callable[[Any, Bool[Array, " of"]], list[Array]], of: Any, most: int
+) -> list[Array]:
+    """Sums over beads that move others, so many at a time that what is between them stays in the cache.
+
+    **Arguments**: function of some of them and of which are there; arrays with a row for each; how many.
+    """
+    number = rows_of(of)
+    count = -(-number // most)
+    size = -(-number // count)
+    missing = count * size - number
+
+    def cut(x: Array) -> Array:
+        padded = jnp.pad(x, [(0, missing)] + [(0, 0)] * (x.ndim - 1), mode="edge")
+        return padded.reshape(count, size, *x.shape[1:])
+
+    parts = jax.tree.map(cut, of), jnp.arange(count * size).reshape(count, size) < number
+    if count == 1:
+        return sums(*jax.tree.map(lambda x: x[0], parts))
+
+    def more(found: list[Array], part: Any) -> tuple[list[Array], None]:
+        return [a + b for a, b in zip(found, sums(*part), strict=True)], None
+
+    shapes = jax.eval_shape(lambda: sums(*jax.tree.map(lambda x: x[0], parts)))
+    return lax.scan(more, [jnp.zeros(x.shape, x.dtype) for x in shapes], parts)[0]
+
+
 def beads_of(configuration: Configuration, load: Load, single: bool) -> tuple[Beads, Task]:
     """All beads, and what is the same for them."""
     scaled, position = configuration.scaled, configuration.position
@@ -213,14 +243,17 @@ def motion(configuration: Configuration, load: Load, single: bool = False) -> Mo
     pieces = configuration.pieces or (beads,)
     if min(pieces) < ROWS[0]:
         pieces, single = (beads,), False  # blocks of several pieces are too wide for that
-    rows = blocks_of(pieces, int(np.clip(PAIRS // beads, *ROWS)))
-    (every, task), numbers = beads_of(configuration, load, single), jnp.arange(beads)
+    rows = blocks_of(pieces, int(np.clip(PAIRS // min(beads, SOURCES), *ROWS)))
+    every, task = beads_of(configuration, load, single)
 
     def block(rows: Array) -> list[Array]:
+        def others(of: tuple[Beads, Array], there: Array) -> list[Array]:
+            beads, numbers = of
+            return other_sums(rows, every, beads, jnp.where(there, numbers, -1), task)
+
         near = neighbour_sums(rows, every, task)
-        return [
-            a + b for a, b in zip(near, other_sums(rows, every, every, numbers, task), strict=True)
-        ]
+        apart = _in_parts(others, (every, jnp.arange(beads)), SOURCES)
+        return [a + b for a, b in zip(near, apart, strict=True)]
 
     found = shared(lambda rows: lax.map(block, rows), jnp.asarray(rows), beads * beads)
     return joined(found, rows, configuration)

@@ -64,6 +64,18 @@ def test_many_beads_move_as_by_all_pairs(pieces, dim, radii):
         assert error(single, whole) > 1e-10  # it is in single precision
 
 
+@pytest.mark.parametrize("radii", [False, True], ids=["equal", "unequal"])
+@pytest.mark.parametrize("most", [100, 397])
+def test_beads_that_move_others_are_summed_in_parts(most, radii, monkeypatch):
+    monkeypatch.setattr(products, "SOURCES", most)
+    x, load = fibres((200, 200), 3), loads(400, 3)
+    x = x.at[390].set(x[4] + 0.5)  # two overlap that are no neighbours, in different parts
+    radius = np.random.default_rng(3).uniform(0.4, 1.4, 400) if radii else 0.9
+    spheres = Configuration(x, radius, 1.3, True, Unbounded(), (200, 200))
+    whole = tensors.rpy(spheres).motion(load)
+    assert error(products.motion(spheres, load), whole) < 2e-13
+
+
 @pytest.mark.parametrize("part", ["force", "torque", "still"])
 def test_forces_or_torques_alone(part):
     x, load = fibres((150, 150), 3), loads(300, 3)

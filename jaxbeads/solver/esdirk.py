@@ -64,7 +64,7 @@ _ENOUGH = 0.1
 """Change of a stage, over the tolerance, below which its iterations end."""
 _MANY = 15
 """Iterations of a stage at which a step is long enough."""
-_LONGEST, _SHORTER = 2.0, 0.5
+_LONGEST, _SHORTER = 2.0, 0.25
 """How much longer the next step may be, and how long it is where iterations do not converge."""
 _SAFETY = 0.9
 """That of the controller: the next step over the one that would meet the tolerance."""
