@@ -189,15 +189,13 @@ def _neighbours(rows: Int[Array, " rows"], every: Beads) -> tuple[Int[Array, ""]
     return jnp.clip(rows[0] - NEIGHBOURS, 0, beads - near), near
 
 
-def _in_parts(
-    sums: Callable[[Any, Bool[Array, " of"]], list[Array]], of: Any, most: int
-) -> list[Array]:
+def _in_parts(sums: Callable[[Any, Bool[Array, " of"]], list[Array]], of: Any) -> list[Array]:
     """Sums over beads that move others, so many at a time that what is between them stays in the cache.
 
-    **Arguments**: function of some of them and of which are there; arrays with a row for each; how many.
+    **Arguments**: function of some of them and of which are there; arrays with a row for each.
     """
     number = rows_of(of)
-    count = -(-number // most)
+    count = -(-number // SOURCES)
     size = -(-number // count)
     missing = count * size - number
 
@@ -252,7 +250,7 @@ def motion(configuration: Configuration, load: Load, single: bool = False) -> Mo
             return other_sums(rows, every, beads, jnp.where(there, numbers, -1), task)
 
         near = neighbour_sums(rows, every, task)
-        apart = _in_parts(others, (every, jnp.arange(beads)), SOURCES)
+        apart = _in_parts(others, (every, jnp.arange(beads)))
         return [a + b for a, b in zip(near, apart, strict=True)]
 
     found = shared(lambda rows: lax.map(block, rows), jnp.asarray(rows), beads * beads)

@@ -91,7 +91,8 @@ def test_a_kink_and_a_crowd_cost_time_and_no_digits(small, together, monkeypatch
     assert near(crowd, 1e-6) > 0.9
     for some in (spheres.at(x), crowd):
         exact = tensors.rpy_motion(some, load)
-        assert error(segments.motion(some, load, 1e-6), exact) < 1e-6
+        for wanted in (1e-6, 1e-9):
+            assert error(segments.motion(some, load, wanted), exact) < wanted
 
 
 def test_beads_a_little_off_their_curve(small):

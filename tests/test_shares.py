@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from test_segments import cloud
 from test_sweep import ended
 
 import jaxbeads as jb
@@ -67,6 +68,11 @@ def moved(devices):
         return mobility.motion(Configuration(scale * x, equal, 1.0), Load(force, torque))
 
     found["batch"] = jax.vmap(batched)(jnp.array([3.0, 5.0]))
+
+    # Fibres of which segments interact by a few of their beads, some of them bead by bead.
+    long, load = cloud((30,) * 13)
+    near = RPY(dense=False, far_error=9e-7, devices=devices)
+    found["segments"] = near.product(long, load, exact=False)
     return found
 
 
@@ -106,8 +112,10 @@ jax.config.update("jax_num_cpu_devices", int(sys.argv[1]))
 if len(sys.argv) > 2:
     jax.distributed.initialize(sys.argv[2], 2, int(sys.argv[3]))
 import numpy as np
+import jaxbeads.segments
 import jaxbeads.shares
 jaxbeads.shares.LEAST = 0
+jaxbeads.segments.LEAST, jaxbeads.segments.BEADS = 0, 15
 import test_shares
 several = int(sys.argv[1]) == 4
 found = test_shares.compared() if several else {"end": np.asarray(test_shares.end(0)).tolist()}
@@ -126,7 +134,7 @@ def start(*arguments):
 @pytest.mark.slow
 def test_devices_find_what_one_finds():
     (found,) = map(json.loads, ended(start(4)))
-    assert len(found) == 2 * 7 + 2
+    assert len(found) == 2 * 8 + 2
     for name, difference in found.items():
         assert difference < (1e-10 if "slopes" in name else 1e-13), name
 
