@@ -27,6 +27,20 @@ def norm(vector: Float[Array, "*batch dim"]) -> Float[Array, "*batch"]:
     return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, square)))
 
 
+def peak(x: Float[Array, "*shape"], axis: int | None = None) -> Float[Array, "*less"]:
+    """The largest magnitude of numbers, 0 of none, and NaN if one of them is: XLA's maximum of
+    thousands of numbers may leave NaN out on a CPU.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxbeads.geometry import peak
+    >>> x = jnp.ones(20000)
+    >>> print(peak(-2 * x), peak(x.at[7].set(jnp.nan)))
+    2.0 nan
+    """
+    nothing = jnp.any(jnp.isnan(x), axis=axis)
+    return jnp.where(nothing, jnp.nan, jnp.max(jnp.abs(x), axis=axis, initial=0.0))
+
+
 def unit(vector: Float[Array, "*batch dim"]) -> Float[Array, "*batch dim"]:
     """Direction of vectors `(..., dim)`; the zero vector has direction zero.
 

@@ -74,6 +74,8 @@ DEPTH = 12
 """Earlier iterations of which `accelerated` makes use."""
 MOST_ACCELERATED = 25
 """Iterations after which it gives up."""
+_FALLS = 0.1, 0.9
+"""Between which one step of it is thought to be over the step before."""
 
 
 class Accelerated(NamedTuple):
@@ -96,19 +98,22 @@ def accelerated(
     Of the last few steps a combination is sought that leaves the least of f, as if f were linear, and
     the next step starts there. Of a linear f they are those of GMRES without the distant past.
 
-    **Arguments**: z -> (f, its size); first z; size at which it ends, f added once more.
+    **Arguments**: z -> (f, its size); first z; what may be left of f, f added once more: so much as the
+    last two let expect.
     """
     dtype, count = start.dtype, len(start)
 
     def unfinished(turn: tuple[Array, ...]) -> Array:
-        *_, size, number = turn
-        return ~(size <= enough) & (number < MOST_ACCELERATED) & jnp.isfinite(size)
+        *_, size, left, number = turn
+        return ~(left <= enough) & (number < MOST_ACCELERATED) & jnp.isfinite(size)
 
     def body(turn: tuple[Array, ...]) -> tuple[Array, ...]:
-        z, before, change_before, ways, changes, _, number = turn
+        z, before, change_before, ways, changes, last, _, number = turn
         change, size = step(z)
         slot = (number - 1) % DEPTH
         new = number > 0
+        part = jnp.where(new, jnp.clip(size / last, *_FALLS), 0.5)
+        left = size * part / (1 - part)
         ways = ways.at[slot].set(jnp.where(new, z - before, 0.0))
         changes = changes.at[slot].set(jnp.where(new, change - change_before, 0.0))
         gram, rhs = changes @ changes.T, changes @ change
@@ -121,9 +126,9 @@ def accelerated(
         parts = weight * cholesky_solve(factor, weight * rhs)
         parts = jnp.where(positive & jnp.isfinite(parts), parts, 0.0)
         after = z + change - parts @ (ways + changes)
-        return after, z, change, ways, changes, size, number + 1
+        return after, z, change, ways, changes, size, left, number + 1
 
-    none = jnp.zeros((DEPTH, count), dtype)
-    first = start, start, start, none, none, jnp.asarray(jnp.finfo(dtype).max, dtype)
-    z, *_, size, number = lax.while_loop(unfinished, body, (*first, jnp.zeros((), int)))
-    return Accelerated(z, size <= enough, number)
+    none, most = jnp.zeros((DEPTH, count), dtype), jnp.asarray(jnp.finfo(dtype).max, dtype)
+    first = start, start, start, none, none, most, most
+    z, *_, left, number = lax.while_loop(unfinished, body, (*first, jnp.zeros((), int)))
+    return Accelerated(z, left <= enough, number)

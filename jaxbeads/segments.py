@@ -21,6 +21,7 @@ from jaxtyping import Array, Bool
 
 from . import products
 from .configuration import Configuration
+from .geometry import peak
 from .products import (
     NEIGHBOURS,
     Beads,
@@ -103,10 +104,10 @@ def _near(position: Array, segments: _Segments, error: float) -> Bool[Array, "se
     """Which segments interact bead by bead."""
     x, nodes = position[segments.rows], position[segments.nodes]
     middle = jnp.mean(nodes, axis=1)
-    reach = jnp.max(jnp.linalg.norm(x - middle[:, None], axis=2), axis=1)
+    reach = peak(jnp.linalg.norm(x - middle[:, None], axis=2), axis=1)
     apart = jnp.linalg.norm(middle[:, None] - middle[None], axis=2)
     between = jnp.einsum("sbp,spc->sbc", segments.weights, nodes)
-    off = jnp.max(jnp.linalg.norm(x - between, axis=2) * segments.there, axis=1)
+    off = peak(jnp.linalg.norm(x - between, axis=2) * segments.there, axis=1)
     one, other = reach[:, None], reach[None]
     enough = jnp.minimum(one, other) + APART * jnp.maximum(one, other)
     rough = jnp.maximum(off[:, None], off[None]) / (OFF * error)

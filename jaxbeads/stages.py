@@ -24,6 +24,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ._typing import with_all_digits
 from .coordinates import AbstractCoordinates
+from .geometry import peak
 from .instant import ambient_motion, applied_load, moving
 from .iterations import accelerated
 from .near import Near, Unknowns
@@ -110,8 +111,8 @@ class _Scale(NamedTuple):
 
 
 def _scale(h: Array, chart: AbstractCoordinates, multipliers: Array) -> _Scale:
-    largest = jnp.max(jnp.abs(multipliers), initial=0.0)
-    return _Scale(h / chart.units, _SMALL / jnp.where(largest > 0, largest, 1.0))
+    most = peak(multipliers)
+    return _Scale(h / chart.units, _SMALL / jnp.where(most > 0, most, 1.0))
 
 
 def solved_stage(
@@ -148,7 +149,7 @@ def _stage(
     if touches is not None:  # pushes of pairs are unknowns, too
         position = chart.state(stage.base + stage.ahead * guess.rate).position
         push = touches.first(position, implicit)
-        most = jnp.max(jnp.abs(push), initial=0.0)
+        most = peak(push)
         most = jnp.where(most > 0, most, 1.0) / _SMALL
         first = jnp.concatenate([first, push / most])
 
@@ -164,7 +165,7 @@ def _stage(
             change, pushed = near.answer(off, implicit), push
         else:
             change, pushed = near.met(off, implicit, gap, push)
-        size = jnp.max(jnp.abs(change.rate * scale.rate), initial=0.0)
+        size = peak(change.rate * scale.rate)
         return jnp.concatenate([scale.joined(change), pushed / most]), size
 
     found = accelerated(step, first, enough)
@@ -199,7 +200,7 @@ def _stage_jvp(primals: Any, tangents: Any) -> tuple[Found, Found]:
         def step(numbers: Array) -> tuple[Array, Array]:
             left = apart(product(ravel_pytree(scale.parted(numbers))[0]) - rhs)
             change = scale.joined(answer(left, implicit))
-            return change, jnp.max(jnp.abs(change), initial=0.0)
+            return change, peak(change)
 
         none = jnp.zeros_like(rhs)
         first = step(none)[1]

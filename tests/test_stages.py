@@ -11,14 +11,15 @@ from cases import in_units
 from examples import EXAMPLES, springs, swimmers
 
 import jaxbeads as jb
-from jaxbeads import ESDIRK, Chain, Scene
+from jaxbeads import ESDIRK, Chain, Scene, iterations
 from jaxbeads.constraint import Gears
 from jaxbeads.coordinates import coordinates
 from jaxbeads.force import Bending, Contact, ForceField, Weight
 from jaxbeads.iterations import accelerated
 from jaxbeads.linearise import coordinate_rate
-from jaxbeads.mobility import RPY
+from jaxbeads.mobility import RPY, FreeDraining
 from jaxbeads.near import Unknowns, near
+from jaxbeads.solver.tolerance import LargestError
 from jaxbeads.stages import Stage, solved_stage
 
 TIME = jnp.asarray(0.3)
@@ -49,6 +50,38 @@ def test_accelerated_iterations():
     assert at_once.iterations == 1 and (at_once.solution == 1).all()
     none = accelerated(lambda z: (1 + z**2, jnp.max(1 + z**2)), jnp.ones(1), jnp.asarray(1e-9))
     assert not none.converged
+
+
+def test_iterations_end_by_what_is_left_and_not_by_their_change(monkeypatch):
+    monkeypatch.setattr(iterations, "MOST_ACCELERATED", 200)
+
+    # Nothing is learnt from a change that turns at random; it falls by a tenth each time.
+    def slow(state):
+        z, number = state[0], state[1]
+        change = jnp.array([-0.1 * z, 1.0])
+        return change * jnp.array([1.0, 0.0]) + 0 * number, jnp.abs(0.1 * z)
+
+    monkeypatch.setattr(iterations, "DEPTH", 1)
+    monkeypatch.setattr(iterations, "cholesky_solve", lambda factor, rhs: 0 * rhs)
+    for enough in (1e-2, 1e-5):
+        found = accelerated(slow, jnp.array([1.0, 0.0]), jnp.asarray(enough))
+        assert found.converged and 0.7 * enough < abs(found.solution[0]) <= 1.01 * enough
+
+
+def test_a_number_that_is_none_is_not_passed_over():
+    # XLA's maximum of thousands of numbers may leave them out.
+    chain = Chain(1.0, (1,) * 4000)
+    x = 5.0 * jnp.arange(12000.0).reshape(4000, 3)
+
+    def force(t, at):
+        return jnp.where(jnp.arange(4000)[:, None] == 7, jnp.nan, 1.0) * jnp.ones_like(at)
+
+    scene = Scene(chain, 1.0, FreeDraining(), [], [ForceField(force)])
+    chart = coordinates(scene, jb.State(x))
+    found = solve(chart.origin, 1.0, 0.25, chart, scene)
+    assert not found.fine and found.products == 1
+    error = eqx.tree_at(lambda s: s.position, chart.start, x.at[7, 0].set(jnp.nan))
+    assert np.isnan(LargestError(jnp.asarray(1.0))(error))
 
 
 def solve(base, h, ahead, chart, model):

@@ -233,7 +233,8 @@ class AdaptiveSteps(eqx.Module):
         path = scheme.interpolation_cls(t0=t0, t1=t1, **dense).evaluate
         unseen = watched.unseen(t0, t1, path)
         # A step that fails or leaves the finite numbers is tried again with a smaller one.
-        bad = (result != diffrax.RESULTS.successful) | ~jnp.all(jnp.isfinite(y.position))
+        finite = [jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves((y, error))]
+        bad = (result != diffrax.RESULTS.successful) | ~jnp.stack(finite).all()
         bad = bad | watched.passed(t0, t1, y, path)
         if (outside := scene.outside(y)) is not None:
             bad = bad | jnp.any(outside)

@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from ..carried import parts
 from ..chain import Chain
-from ..geometry import norm
+from ..geometry import norm, peak
 from ..state import State
 
 
@@ -22,7 +22,7 @@ class LargestError(eqx.Module):
 
     def __call__(self, error: State) -> Float[Array, ""]:
         """The largest."""
-        worst = jnp.max(norm(error.position))
+        worst = peak(norm(error.position))
         for part in parts(error):
             worst = jnp.maximum(worst, part.off(getattr(error, part.name), self.arm))
         return worst
