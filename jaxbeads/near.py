@@ -24,8 +24,8 @@ from .lengthwise import Lengthwise, Maps
 from .saddle import Iterations, iterations
 from .scene import Scene
 from .state import Load, Motion, add_loads, add_motions
-from .touching import Touches, placed, room, stiffness, touches
-from .windows import Windows, parts
+from .touching import Lone, Touches, placed, room, stiffness, touches
+from .windows import Fibres, Windows, parts
 
 _COLUMNS = 64
 """Derivatives that are found side by side."""
@@ -94,17 +94,18 @@ class Near(eqx.Module):
             back, explicit = self._along_transposed, self._explicit_transposed
             return lax.cond(implicit, lambda: back(of), lambda: explicit(of))
         rate, slip = of
-        push = None
+        pulled = None
         if self.system is not None and self.inverse is not None:
-            pull = self.maps.motion(self.maps.pull(-self.system.precondition(slip)))
+            load = self.maps.pull(-self.system.precondition(slip))
+            pull = self.maps.motion(load)
             (back,) = jax.linear_transpose(lambda rate: self._stiff_load(rate), rate)(
                 Load(pull.velocity, pull.spin)
             )
             rate = rate + jnp.where(implicit, back, 0.0)
-            push = pull.velocity
+            pulled = pull, load
         if self.touches is not None:
             units = self.maps.chart.units
-            back = self.touches.pushed_back(self._parts(rate * units), push)
+            back = self.touches.pushed_back(self._parts(rate * units), pulled)
             rate = rate + jnp.where(implicit, self._whole(back) / units, 0.0)
         rate = self._held(rate, implicit, True)
         if self.system is None:
@@ -160,6 +161,7 @@ class Near(eqx.Module):
         if self.touches is not None and push is not None:
             force = self.touches.forces(push, len(self.maps.state.position))
             load = add_loads(load, Load(force, self.maps.still.spin))
+            return add_motions(self.maps.motion(load), self.touches.flows(push))
         return self.maps.motion(load)
 
     def columns(self) -> Float[Array, "fibres size size"] | None:
@@ -182,7 +184,10 @@ class Near(eqx.Module):
 
     def _moved(self, load: Load) -> Array:
         """Rate under a load, with what holds the constraints, by M'."""
-        motion = self.maps.motion(load)
+        return self._held_rate(self.maps.motion(load))
+
+    def _held_rate(self, motion: Motion) -> Array:
+        """Rate at a motion, with what holds the constraints, by M'."""
         if self.system is not None:
             held = -self.system.precondition(self.maps.linear(motion))
             motion = add_motions(motion, self.maps.motion(self.maps.pull(held)))
@@ -192,15 +197,29 @@ class Near(eqx.Module):
         """With pairs of beads."""
         maps, chart = self.maps, self.maps.chart
 
-        def pushed(force: Array) -> tuple[Array, Array]:
+        def push(force: Array) -> tuple[Array, Array]:
             back = jax.vjp(lambda x: chart.state(x).position, maps.x)[1]
-            rate = self._moved(Load(force, maps.still.spin)) / chart.units
-            return self._parts(rate), self._parts(back(force)[0] * chart.units)
+            moved = self._moved(Load(force, maps.still.spin)) / chart.units
+            return self._parts(moved), self._parts(back(force)[0] * chart.units)
 
-        def alone(rates: Array) -> Array:
-            return jnp.einsum("fij,fsj->fsi", self.inverse, rates)
+        def drive(flow: Motion) -> Array:
+            return self._parts(self._held_rate(flow) / chart.units)
 
-        found = touches(pairs, maps.scene.chain, maps.state.position, pushed, alone, self.ahead)
+        def alone(rate: Array) -> Array:
+            return jnp.einsum("fij,fsj->fsi", self.inverse, rate)
+
+        operator, still = maps.scene.operator(maps.state), maps.still
+
+        def across(to: Array, by: Array, force: Array) -> Motion:
+            every = jnp.minimum(jnp.append(to, by), len(still.velocity) - 1)
+            none = jax.tree.map(lambda v: jnp.zeros_like(v, shape=(len(every), v.shape[1])), still)
+            load = Load(none.velocity.at[-1].set(force), none.spin)
+            if not isinstance(maps.parts, Fibres):  # there it may be in M'
+                return jax.tree.map(lambda v: v[:-1], none)
+            return jax.tree.map(lambda v: v[:-1], operator.some(every).motion(load))
+
+        of = Lone(push, drive, alone, across)
+        found = touches(pairs, maps.scene.chain, maps.state.position, of, self.ahead)
         return dataclasses.replace(self, touches=found)
 
 

@@ -90,7 +90,10 @@ def largest(
     def row(to: tuple, of: tuple, real: Any) -> tuple[Array, Array]:
         later = to[-1][:, None] < of[-1][None]
         found = jnp.where(later & real[None], field(to[:-1], of[:-1]), 0.0)
-        value, slot = lax.top_k(found, min(each, found.shape[1]))
+        few = min(each, found.shape[1])
+        none = jnp.zeros((len(found), few), found.dtype), jnp.zeros((len(found), few), jnp.int32)
+        some = jnp.any(found > 0)  # else there is nothing to sort
+        value, slot = lax.cond(some, lambda: (*lax.top_k(found, few),), lambda: none)
         return value, of[-1][slot]
 
     with_index = (*beads, index)

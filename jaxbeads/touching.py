@@ -13,10 +13,12 @@ by Newton's method on a matrix of pairs by pairs. Derivatives go by the linear f
     D^-1 = D0^-1 - W (1 + g K V^T W)^-1 g K V^T D0^-1,   K = -dp/ds
 
 (Woodbury). In a stage pushes are unknowns of their own: those of gaps at which iterations try their way,
-as deep as a radius, say nothing. Fluid between fibres is left out, as in all of `near`.
+as deep as a radius, say nothing. Of the fluid between fibres, which is left out in all else of `near`,
+account is taken where it matters most: the force on the one bead of a pair moves the fibre of the other.
 """
 
 from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -27,7 +29,9 @@ from jaxtyping import Array, Float, Int
 from .chain import Chain
 from .factors import inverse, solve
 from .force import AbstractTouching
-from .geometry import unit
+from .geometry import peak, unit
+from .state import Load, Motion
+from .windows import padded
 
 MOST_PAIRS, FEW_PAIRS = 512, 64
 """Pairs that are taken together; of so few less is solved."""
@@ -38,8 +42,12 @@ _MOST = 30
 """Newton's iterations."""
 _ENOUGH = 1e-10
 """Gaps are found to this part of the least radius, or as well as rounding allows."""
+_TOGETHER = 8
+"""Slots that are looked at together."""
 _STILL = 1e3
 """How much farther off they may be at the end."""
+
+_NONE: Any = {"mode": "fill", "fill_value": 0}
 
 Parts = Float[Array, "fibres size"]
 Pairs = Float[Array, " pairs"]
@@ -88,12 +96,19 @@ class Touches(eqx.Module):
     pairs: AbstractTouching
     which: Int[Array, "fibres slots"]
     """The pair of each fibre's slots."""
+    chain: Chain
+    flow: Motion
+    """What a unit push of each slot's pair does to the beads of its fibre by the force on the other,
+    (slots, beads, ...).
+    """
     parting: Float[Array, "fibres slots size"]
     """V."""
     response: Float[Array, "fibres slots size"]
     """W."""
     opened: Float[Array, "pairs pairs"]
     """g V^T W: by how much gaps open under unit pushes."""
+    own: Float[Array, "pairs pairs"]
+    """The same without flows, which is positive where the other may not be."""
     small: Float[Array, "pairs pairs"]
     """(1 + g K V^T W)^-1 g K."""
     ahead: Float[Array, ""]
@@ -104,13 +119,24 @@ class Touches(eqx.Module):
         """Change of pushes where fibres alone would go at these rates; linear."""
         return -self.small @ self._along(self.parting, rate)
 
-    def pushed_back(self, rate: Parts, velocity: Float[Array, "beads dim"] | None) -> Parts:
-        """The transpose of `pushed`, of rates by pushes and of velocities by their forces."""
+    def pushed_back(self, rate: Parts, pulled: tuple[Motion, Load] | None) -> Parts:
+        """The transpose of `pushed`, of rates by pushes, and of what `forces` and `flows` do with
+        motions and loads.
+        """
         push = self._along(self.response, rate)
-        if velocity is not None:
+        if pulled is not None:
+            velocity, load = pulled[0].velocity, pulled[1]
             way = velocity[self.pairs.first] - velocity[self.pairs.second]
             push = push + jnp.sum(self.pairs.direction * way, axis=1)
+            given = jnp.zeros_like(push)
+            (more,) = jax.linear_transpose(self.flows, given)(Motion(load.force, load.torque))
+            push = push + more
         return -self._spread(self.parting, self.small.T @ push)
+
+    def flows(self, push: Pairs) -> Motion:
+        """Motion of each fibre by pushes on others."""
+        each = self._each(push)[jnp.asarray(self.chain.fibre_of_bead)]
+        return jax.tree.map(lambda v: jnp.einsum("sbc,bs->bc", v, each), self.flow)
 
     def first(self, position: Float[Array, "beads dim"], implicit: Array) -> Pairs:
         """Pushes to begin with; of an explicit stage those that there are."""
@@ -126,31 +152,37 @@ class Touches(eqx.Module):
         """Change of pushes, which need not be those of the gaps, where fibres alone would go at these
         rates; NaN where none is found.
         """
-        alone = gap + self.ahead * self._along(self.parting, rate) - self.opened @ push
-        number = len(push)
-        if number <= FEW_PAIRS:
-            return self._pressed(alone) - push
+        gone, number = gap + self.ahead * self._along(self.parting, rate), len(push)
         # Nearest pairs come first.
         last = jnp.max(jnp.where(self.pairs.there, jnp.arange(1, number + 1), 0))
 
-        def few() -> Pairs:
-            return jnp.pad(self._pressed(alone[:FEW_PAIRS]), (0, number - FEW_PAIRS))
+        def pressed(opened: Array) -> Pairs:
+            alone = gone - opened @ push
+            if number <= FEW_PAIRS:
+                return self._pressed(alone, opened)
 
-        return lax.cond(last <= FEW_PAIRS, few, lambda: self._pressed(alone)) - push
+            def few() -> Pairs:
+                found = self._pressed(alone[:FEW_PAIRS], opened[:FEW_PAIRS, :FEW_PAIRS])
+                return jnp.pad(found, (0, number - FEW_PAIRS))
 
-    def _pressed(self, alone: Pairs) -> Pairs:
-        """Pushes of the first pairs, the others without any, from the gaps that there would be without;
-        NaN where none are found.
+            return lax.cond(last <= FEW_PAIRS, few, lambda: self._pressed(alone, opened))
+
+        found = pressed(self.opened)
+        fine = jnp.all(jnp.isfinite(found))
+        return lax.cond(fine, lambda: found, lambda: pressed(self.own)) - push
+
+    def _pressed(self, alone: Pairs, opened: Float[Array, "pairs pairs"]) -> Pairs:
+        """Pushes of the first pairs, the others without any, from the gaps that there would be without,
+        and by how much pushes open them; NaN where none are found.
         """
         number = len(alone)
-        opened = self.opened[:number, :number]
 
         def off(s: Pairs) -> Pairs:
             return s - alone - opened @ _push(self.pairs, s)
 
         def unfinished(turn: tuple[Array, ...]) -> Array:
             _, left, count = turn
-            return (jnp.max(jnp.abs(left), initial=0.0) > self.enough) & (count < _MOST)
+            return (peak(left) > self.enough) & (count < _MOST)
 
         def newton(turn: tuple[Array, ...]) -> tuple[Array, ...]:
             s, left, count = turn
@@ -163,7 +195,7 @@ class Touches(eqx.Module):
         first = jnp.maximum(alone, self.pairs.deep)
         turn = first, off(first), jnp.zeros((), int)
         s, left, _ = lax.while_loop(unfinished, newton, turn)
-        found = jnp.max(jnp.abs(left), initial=0.0) <= _STILL * self.enough
+        found = peak(left) <= _STILL * self.enough
         return jnp.where(found, _push(self.pairs, s), jnp.nan)
 
     def moved(self, push: Pairs) -> Parts:
@@ -182,43 +214,112 @@ class Touches(eqx.Module):
         found = jnp.einsum("fsi,fi->fs", rows, rate)
         return jnp.zeros(len(self.small), rate.dtype).at[self.which].add(found, mode="drop")
 
+    def _each(self, push: Pairs) -> Float[Array, "fibres slots"]:
+        return push.at[self.which].get(mode="fill", fill_value=0.0)
+
     def _spread(self, rows: Array, push: Pairs) -> Parts:
-        each = push.at[self.which].get(mode="fill", fill_value=0.0)
-        return jnp.einsum("fsi,fs->fi", rows, each)
+        return jnp.einsum("fsi,fs->fi", rows, self._each(push))
+
+
+def _first_rows(function: Callable[..., Any], rows: Any, used: Int[Array, ""]) -> Any:
+    """function(rows), some rows at a time, but zero behind those that are used."""
+    number = len(jax.tree.leaves(rows)[0])
+    size = min(_TOGETHER, number)
+
+    def more(turn: tuple[Array, Any]) -> tuple[Array, Any]:
+        begin, found = turn
+        begin = jnp.minimum(begin, number - size)
+        some = jax.tree.map(lambda x: lax.dynamic_slice_in_dim(x, begin, size), rows)
+        found = jax.tree.map(
+            lambda x, y: lax.dynamic_update_slice_in_dim(x, y, begin, 0), found, function(some)
+        )
+        return begin + size, found
+
+    shapes = jax.eval_shape(function, rows)
+    none = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+    return lax.while_loop(lambda turn: turn[0] < used, more, (jnp.zeros_like(used), none))[1]
+
+
+class Lone(NamedTuple):
+    """What fibres do, one by one; each function is linear and for all of them at once."""
+
+    push: Callable[[Float[Array, "beads dim"]], tuple[Parts, Parts]]
+    """f -> the rates under forces f, and what times rates is f times the velocities."""
+    drive: Callable[[Motion], Parts]
+    """The rates where beads would move so by themselves."""
+    alone: Callable[[Array], Array]
+    """D0^-1 of a stack of rates, (fibres, any, size)."""
+    across: Callable[[Array, Array, Array], Motion]
+    """Motion of some beads by a force on another, as far as it is not in the rates."""
+
+
+def _flows(
+    pairs: AbstractTouching, chain: Chain, slot: Int[Array, "pairs 2"], slots: int, of: Lone
+) -> Motion:
+    """What unit pushes do to the fibre of each of their slots by the force on the other fibre."""
+    bead = jnp.stack([pairs.first, pairs.second], axis=1)
+    fibre, rows = jnp.asarray(chain.fibre_of_bead)[bead], jnp.asarray(padded(chain.fibres))
+    # Within a fibre nothing is left out.
+    apart = pairs.there & (fibre[:, 0] != fibre[:, 1])
+    last = jnp.max(jnp.where(apart, jnp.arange(1, len(apart) + 1), 0))
+
+    def more(turn: tuple[Array, Motion]) -> tuple[Array, Motion]:
+        k, flow = turn
+        for own, sign in ((0, -1.0), (1, 1.0)):
+            to = rows[fibre[k, own]]
+            moved = of.across(to, bead[k, 1 - own], sign * pairs.direction[k])
+            at = slot[k, own], jnp.where(apart[k], to, chain.beads)
+            flow = jax.tree.map(lambda x, v, at=at: x.at[at].set(v, mode="drop"), flow, moved)
+        return k + 1, flow
+
+    def still(v: Any) -> Array:
+        return jnp.zeros((slots, chain.beads, v.shape[1]), v.dtype)
+
+    one = jax.eval_shape(of.across, rows[0], bead[0, 0], pairs.direction[0])
+    return lax.while_loop(
+        lambda turn: turn[0] < last, more, (jnp.zeros_like(last), jax.tree.map(still, one))
+    )[1]
 
 
 def touches(
     pairs: AbstractTouching,
     chain: Chain,
     position: Float[Array, "beads dim"],
-    pushed: Callable[[Float[Array, "beads dim"]], tuple[Parts, Parts]],
-    alone: Callable[[Array], Array],
+    of: Lone,
     ahead: Float[Array, ""],
 ) -> Touches:
     """Pairs that touch.
 
-    **Arguments**: pairs; the chain, and where its beads are; f -> the rates under forces f, u, and v,
-    whose product with rates is f times the velocities; D0^-1 of a stack of rates; g.
+    **Arguments**: pairs; the chain, and where its beads are; what fibres do; g.
     """
-    size = jax.eval_shape(pushed, position)[0].shape[1]
-    pairs, which, at = placed(pairs, chain, room(len(chain.fibres), size)[1])
-    direction = pairs.direction.at[which].get(mode="fill", fill_value=0.0)
+    number, fibres = len(pairs.first), len(chain.fibres)
+    size = jax.eval_shape(of.push, position)[0].shape[1]
+    pairs, which, at = placed(pairs, chain, room(fibres, size)[1])
+    direction = pairs.direction.at[which].get(**_NONE)
     second = at == pairs.second.at[which].get(mode="fill", fill_value=-1)
     direction = jnp.where(second[:, :, None], -direction, direction)
-    none = jnp.zeros_like(position)
+    slots = jnp.arange(which.shape[1])
+    slot = jnp.zeros((number, 2), int).at[which, second.astype(int)].set(slots, mode="drop")
+    used = jnp.max(jnp.where(which < number, slots + 1, 0))
 
-    def slot(column: tuple[Array, Array]) -> tuple[Parts, Parts]:
-        bead, way = column
-        return pushed(none.at[bead].set(way, mode="drop"))
+    def column(bead: Array, way: Array) -> tuple[Parts, Parts]:
+        return of.push(jnp.zeros_like(position).at[bead].set(way, mode="drop"))
 
-    rate, parting = lax.map(slot, (at.T, jnp.swapaxes(direction, 0, 1)), batch_size=64)
-    parting, response = jnp.swapaxes(parting, 0, 1), alone(jnp.swapaxes(rate, 0, 1))
-    between = jnp.einsum("fsi,fti->fst", parting, response)
-    number = len(pairs.first)
-    opened = jnp.zeros((number, number), position.dtype)
-    opened = opened.at[which[:, :, None], which[:, None, :]].add(ahead * between, mode="drop")
+    columns = at.T, jnp.swapaxes(direction, 0, 1)
+    rate, parting = _first_rows(lambda rows: jax.vmap(column)(*rows), columns, used)
+    flow = _flows(pairs, chain, slot, len(slots), of)
+    moved = rate + _first_rows(jax.vmap(of.drive), flow, used)
+    rate, moved, parting = (jnp.swapaxes(x, 0, 1) for x in (rate, moved, parting))
+    response = of.alone(moved)
+
+    def opened(response: Array) -> Array:
+        between = ahead * jnp.einsum("fsi,fti->fst", parting, response)
+        none = jnp.zeros((number, number), position.dtype)
+        return none.at[which[:, :, None], which[:, None, :]].add(between, mode="drop")
+
+    whole, own = opened(response), opened(of.alone(rate))
     stiff = stiffness(pairs, pairs.gap(position))
-    small = inverse(jnp.eye(number, dtype=position.dtype) + stiff[:, None] * opened)
+    small = inverse(jnp.eye(number, dtype=position.dtype) + stiff[:, None] * whole)
     small = small * (ahead * stiff)[None, :]
     enough = max(_ENOUGH, 100 * float(jnp.finfo(position.dtype).eps)) * jnp.min(chain.radii)
-    return Touches(pairs, which, parting, response, opened, small, ahead, enough)
+    return Touches(pairs, which, chain, flow, parting, response, whole, own, small, ahead, enough)

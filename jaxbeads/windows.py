@@ -85,7 +85,7 @@ class Blocks(eqx.Module):
 
     def solve(self, rhs: Float[Array, " rows"]) -> Float[Array, " rows"]:
         """S'^-1 rhs; rows between fibres stay as they are."""
-        bonds = _padded(self.fibres, 1)
+        bonds = padded(self.fibres, 1)
         rows = rhs.reshape(-1, sum(self.fibres) - 1)
         parts = rows.at[:, bonds].get(mode="fill", fill_value=0.0)
         parts = jnp.swapaxes(parts, 0, 1).reshape(len(bonds), -1)
@@ -95,7 +95,7 @@ class Blocks(eqx.Module):
         return rows.at[:, bonds].set(found, mode="drop").ravel()
 
 
-def _padded(fibres: tuple[int, ...], less: int = 0) -> np.ndarray:
+def padded(fibres: tuple[int, ...], less: int = 0) -> np.ndarray:
     """Numbers of the beads of each fibre (but for so many at its end), a row for each, filled up with a
     number that is too large.
     """
@@ -143,7 +143,7 @@ class Fibres(AbstractParts):
 
     def each(self, function: Callable[[Array, Array], Any]) -> Any:
         """function(beads, weights) of each fibre, one after the other."""
-        beads = _padded(self.chain.fibres)
+        beads = padded(self.chain.fibres)
         there = beads < self.chain.beads
         weights = jnp.asarray(there, self.state.position.dtype)
         last = beads.max(axis=1, where=there, initial=0)

@@ -9,7 +9,7 @@ from jax.flatten_util import ravel_pytree
 from scipy.optimize import brentq
 
 import jaxbeads as jb
-from jaxbeads import ESDIRK, Chain, Scene, Setting, State, neighbours, touching
+from jaxbeads import ESDIRK, Chain, Load, Scene, Setting, State, neighbours, touching
 from jaxbeads.constraint import Gears
 from jaxbeads.coordinates import coordinates
 from jaxbeads.force import Bending, Contact, ForceField
@@ -115,10 +115,60 @@ def test_the_answer_is_exact_where_fibres_do_not_feel_one_another():
     alone = eqx.tree_at(lambda n: n.touches, close, None, is_leaf=lambda x: x is None)
     lost = np.asarray(ravel_pytree(answer(alone, apart(jnp.asarray(rhs))))[0])
     assert np.abs(matrix @ lost + rhs).max() > 1e-2  # what the pair does is not little
-    # And its transpose.
-    other = apart(jnp.asarray(np.where(used, rng.normal(size=len(flat)), 0.0)))
-    back = ravel_pytree(close.transposed(other, YES))[0]
-    assert abs(back @ rhs - found @ ravel_pytree(other)[0]) < 1e-10 * np.abs(found).max()
+
+
+@pytest.mark.parametrize("mobility", [FreeDraining(), RPY()])
+def test_the_answer_has_its_transpose(mobility):
+    scene, chart, _ = crossed(0.02, mobility)
+    close = near(TIME, chart.origin, jnp.asarray(3.0), chart, scene, jnp.zeros(27))
+    flow = close.touches.flow
+    assert (np.abs(flow.velocity).max() > 1e-2) == isinstance(mobility, RPY)
+    rng = np.random.default_rng(0)
+    one, other = (
+        Unknowns(jnp.asarray(rng.normal(size=len(chart.origin))), jnp.asarray(rng.normal(size=27)))
+        for _ in range(2)
+    )
+    found, back = close.answer(one, YES), close.transposed(other, YES)
+    left, right = (
+        sum(float(a @ b) for a, b in zip(x, y, strict=True))
+        for x, y in ((found, other), (one, back))
+    )
+    assert abs(left - right) < 1e-10 * abs(left) > 0
+
+
+@pytest.mark.parametrize(
+    "domain", [jb.Unbounded(), jb.NoSlipWall([0.0, 0.0, -3.0], [0.0, 0.0, 1.0])]
+)
+def test_spheres_move_one_another_as_pushes_open_them(domain):
+    # Without anything that holds them; of two fibres one bead each is near to the other.
+    x = jnp.array([[-9.0, 0.0, 0.0], [0.0, 0.3, 0.0], [1.5, 0.0, 1.8], [9.0, 2.0, 4.0]])
+    chain, contact = Chain(1.0, (2, 2)), Contact(1.0, 0.1, 0.1)
+    scene = Scene(chain, 0.7, RPY(), [], [contact], domain=domain)
+    chart, ahead = coordinates(scene, State(x)), 2.0
+    touches = near(TIME, chart.origin, jnp.asarray(ahead), chart, scene, jnp.zeros(0)).touches
+    assert int(touches.pairs.there.sum()) == 1
+    assert {int(touches.pairs.first[0]), int(touches.pairs.second[0])} == {1, 2}
+    way = np.asarray(touches.pairs.direction[0])
+    sign = np.array([0, 1, -1, 0]) if int(touches.pairs.first[0]) == 1 else np.array([0, -1, 1, 0])
+    spheres = scene.operator(State(x)).configuration
+    moved = RPY().motion(spheres, Load(jnp.asarray(sign[:, None] * way))).velocity
+    apart = ahead * (sign @ np.asarray(moved)) @ way
+    assert abs(touches.opened[0, 0] - apart) < 1e-12 < 0.5 * (touches.own[0, 0] - apart)
+    if isinstance(domain, jb.Unbounded):  # 3a/(2r) - (a/r)^3 of one on the other
+        r = np.linalg.norm(x[1] - x[2])
+        expected = 2 * ahead * (1 - 1.5 / r + 1 / r**3) / (6 * np.pi * 0.7)
+        assert abs(apart - expected) < 1e-12
+
+
+def test_pushes_where_fibres_move_one_another_too_much():
+    # What is left out makes it negative, so that no gaps are found: they are those without flows.
+    scene, chart = pressed(3.0)
+    near_ = near(TIME, chart.origin, jnp.asarray(200.0), chart, scene, jnp.zeros(0))
+    touches = eqx.tree_at(lambda t: t.opened, near_.touches, -near_.touches.own)
+    gap, push = touches.pairs.gap(chart.start.position), jnp.zeros(len(touches.pairs.first))
+    rate = -0.01 * touches.parting.sum(axis=1)
+    found = touches.met(rate, gap, push)
+    assert float(found[0]) > 0 and np.array_equal(found, near_.touches.met(rate, gap, push))
 
 
 def pressed(push):
