@@ -96,7 +96,8 @@ class Near(eqx.Module):
         rate, slip = of
         pulled = None
         if self.system is not None and self.inverse is not None:
-            load = self.maps.pull(-self.system.precondition(slip))
+            none = Load(self.maps.still.velocity, self.maps.still.spin)
+            load = add_loads(none, self.maps.pull(-self.system.precondition(slip)))
             pull = self.maps.motion(load)
             (back,) = jax.linear_transpose(lambda rate: self._stiff_load(rate), rate)(
                 Load(pull.velocity, pull.spin)

@@ -30,7 +30,7 @@ from .chain import Chain
 from .factors import inverse, solve
 from .force import AbstractTouching
 from .geometry import peak, unit
-from .state import Load, Motion
+from .state import Motion
 from .windows import padded
 
 MOST_PAIRS, FEW_PAIRS = 512, 64
@@ -119,7 +119,7 @@ class Touches(eqx.Module):
         """Change of pushes where fibres alone would go at these rates; linear."""
         return -self.small @ self._along(self.parting, rate)
 
-    def pushed_back(self, rate: Parts, pulled: tuple[Motion, Load] | None) -> Parts:
+    def pushed_back(self, rate: Parts, pulled: tuple[Motion, Any] | None) -> Parts:
         """The transpose of `pushed`, of rates by pushes, and of what `forces` and `flows` do with
         motions and loads.
         """
