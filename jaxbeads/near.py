@@ -198,13 +198,12 @@ class Near(eqx.Module):
         """With pairs of beads."""
         maps, chart = self.maps, self.maps.chart
 
-        def push(force: Array) -> tuple[Array, Array]:
+        def push(force: Array, flow: Motion) -> tuple[Array, Array, Array]:
             back = jax.vjp(lambda x: chart.state(x).position, maps.x)[1]
-            moved = self._moved(Load(force, maps.still.spin)) / chart.units
-            return self._parts(moved), self._parts(back(force)[0] * chart.units)
-
-        def drive(flow: Motion) -> Array:
-            return self._parts(self._held_rate(flow) / chart.units)
+            moved = maps.motion(Load(force, maps.still.spin))
+            both = jax.vmap(self._held_rate)(jax.tree.map(lambda *v: jnp.stack(v), moved, flow))
+            rate, driven = (self._parts(rate / chart.units) for rate in both)
+            return rate, driven, self._parts(back(force)[0] * chart.units)
 
         def alone(rate: Array) -> Array:
             return jnp.einsum("fij,fsj->fsi", self.inverse, rate)
@@ -219,8 +218,9 @@ class Near(eqx.Module):
                 return jax.tree.map(lambda v: v[:-1], none)
             return jax.tree.map(lambda v: v[:-1], operator.some(every).motion(load))
 
-        of = Lone(push, drive, alone, across)
-        found = touches(pairs, maps.scene.chain, maps.state.position, of, self.ahead)
+        size = _numbers(chart).shape[1]
+        of, chain = Lone(push, alone, across), maps.scene.chain
+        found = touches(pairs, chain, maps.state.position, of, size, self.ahead)
         return dataclasses.replace(self, touches=found)
 
 

@@ -167,9 +167,15 @@ class Touches(eqx.Module):
 
             return lax.cond(last <= FEW_PAIRS, few, lambda: self._pressed(alone, opened))
 
-        found = pressed(self.opened)
-        fine = jnp.all(jnp.isfinite(found))
-        return lax.cond(fine, lambda: found, lambda: pressed(self.own)) - push
+        # Without flows only where there is none with them.
+        def unfinished(turn: tuple[Array, Array]) -> Array:
+            return (turn[0] < 2) & ~jnp.all(jnp.isfinite(turn[1]))
+
+        def body(turn: tuple[Array, Array]) -> tuple[Array, Array]:
+            return turn[0] + 1, pressed(jnp.where(turn[0] == 0, self.opened, self.own))
+
+        first = jnp.zeros((), int), jnp.full_like(push, jnp.nan)
+        return lax.while_loop(unfinished, body, first)[1] - push
 
     def _pressed(self, alone: Pairs, opened: Float[Array, "pairs pairs"]) -> Pairs:
         """Pushes of the first pairs, the others without any, from the gaps that there would be without,
@@ -243,10 +249,10 @@ def _first_rows(function: Callable[..., Any], rows: Any, used: Int[Array, ""]) -
 class Lone(NamedTuple):
     """What fibres do, one by one; each function is linear and for all of them at once."""
 
-    push: Callable[[Float[Array, "beads dim"]], tuple[Parts, Parts]]
-    """f -> the rates under forces f, and what times rates is f times the velocities."""
-    drive: Callable[[Motion], Parts]
-    """The rates where beads would move so by themselves."""
+    push: Callable[[Float[Array, "beads dim"], Motion], tuple[Parts, Parts, Parts]]
+    """Forces f and a motion -> the rates under the forces; those where beads move so by themselves; what
+    times rates is f times the velocities.
+    """
     alone: Callable[[Array], Array]
     """D0^-1 of a stack of rates, (fibres, any, size)."""
     across: Callable[[Array, Array, Array], Motion]
@@ -261,16 +267,15 @@ def _flows(
     fibre, rows = jnp.asarray(chain.fibre_of_bead)[bead], jnp.asarray(padded(chain.fibres))
     # Within a fibre nothing is left out.
     apart = pairs.there & (fibre[:, 0] != fibre[:, 1])
-    last = jnp.max(jnp.where(apart, jnp.arange(1, len(apart) + 1), 0))
+    last = 2 * jnp.max(jnp.where(apart, jnp.arange(1, len(apart) + 1), 0))
 
     def more(turn: tuple[Array, Motion]) -> tuple[Array, Motion]:
-        k, flow = turn
-        for own, sign in ((0, -1.0), (1, 1.0)):
-            to = rows[fibre[k, own]]
-            moved = of.across(to, bead[k, 1 - own], sign * pairs.direction[k])
-            at = slot[k, own], jnp.where(apart[k], to, chain.beads)
-            flow = jax.tree.map(lambda x, v, at=at: x.at[at].set(v, mode="drop"), flow, moved)
-        return k + 1, flow
+        count, flow = turn
+        k, own = count // 2, count % 2
+        to, force = rows[fibre[k, own]], (2.0 * own - 1.0) * pairs.direction[k]
+        moved = of.across(to, bead[k, 1 - own], force)
+        at = slot[k, own], jnp.where(apart[k], to, chain.beads)
+        return count + 1, jax.tree.map(lambda x, v: x.at[at].set(v, mode="drop"), flow, moved)
 
     def still(v: Any) -> Array:
         return jnp.zeros((slots, chain.beads, v.shape[1]), v.dtype)
@@ -286,14 +291,15 @@ def touches(
     chain: Chain,
     position: Float[Array, "beads dim"],
     of: Lone,
+    size: int,
     ahead: Float[Array, ""],
 ) -> Touches:
     """Pairs that touch.
 
-    **Arguments**: pairs; the chain, and where its beads are; what fibres do; g.
+    **Arguments**: pairs; the chain, and where its beads are; what fibres do, and how many numbers each
+    has; g.
     """
     number, fibres = len(pairs.first), len(chain.fibres)
-    size = jax.eval_shape(of.push, position)[0].shape[1]
     pairs, which, at = placed(pairs, chain, room(fibres, size)[1])
     direction = pairs.direction.at[which].get(**_NONE)
     second = at == pairs.second.at[which].get(mode="fill", fill_value=-1)
@@ -302,15 +308,15 @@ def touches(
     slot = jnp.zeros((number, 2), int).at[which, second.astype(int)].set(slots, mode="drop")
     used = jnp.max(jnp.where(which < number, slots + 1, 0))
 
-    def column(bead: Array, way: Array) -> tuple[Parts, Parts]:
-        return of.push(jnp.zeros_like(position).at[bead].set(way, mode="drop"))
-
-    columns = at.T, jnp.swapaxes(direction, 0, 1)
-    rate, parting = _first_rows(lambda rows: jax.vmap(column)(*rows), columns, used)
     flow = _flows(pairs, chain, slot, len(slots), of)
-    moved = rate + _first_rows(jax.vmap(of.drive), flow, used)
-    rate, moved, parting = (jnp.swapaxes(x, 0, 1) for x in (rate, moved, parting))
-    response = of.alone(moved)
+
+    def column(bead: Array, way: Array, flow: Motion) -> tuple[Parts, Parts, Parts]:
+        return of.push(jnp.zeros_like(position).at[bead].set(way, mode="drop"), flow)
+
+    columns = at.T, jnp.swapaxes(direction, 0, 1), flow
+    found = _first_rows(lambda rows: jax.vmap(column)(*rows), columns, used)
+    rate, driven, parting = (jnp.swapaxes(x, 0, 1) for x in found)
+    response = of.alone(rate + driven)
 
     def opened(response: Array) -> Array:
         between = ahead * jnp.einsum("fsi,fti->fst", parting, response)
