@@ -146,10 +146,14 @@ def coefficients(vector: list[Field], radii: Radii | None) -> Scalars:
 
 
 def separate(
-    vector: list[Field], radii: Radii | None, there: Bool[Array, "to of"] | None = None
+    vector: list[Field],
+    radii: Radii | None,
+    there: Bool[Array, "to of"] | None = None,
+    slack: Array | float = 0.0,
 ) -> tuple[Scalars, Bool[Array, "to of"]]:
-    """The same of spheres that do not overlap, all powers of one field; and which of them do. Pairs that
-    are not `there` have coefficients 0.
+    """The same of spheres that do not overlap, all powers of one field; and which of them do, by more
+    than some slack, a part of the square of their distance. Pairs that are not `there` have
+    coefficients 0.
 
     There rr1 is -tr/2, whatever the radii.
     """
@@ -169,7 +173,7 @@ def separate(
         tt1, tt2 = y * (0.75 + both / 4 * y2), 0.75 * y3 * (1 - both * y2)
     else:
         tt1, tt2 = 0.75 * y + 0.5 * y3, (0.75 - 1.5 * y2) * y3
-    return Scalars(tt1, tt2, y3, y3, -0.5 * y3, 1.5 * y2 * y3), square < touching
+    return Scalars(tt1, tt2, y3, y3, -0.5 * y3, 1.5 * y2 * y3), square < touching * (1 - slack)
 
 
 def kept_coefficients(

@@ -7,7 +7,7 @@ which `Outcome` reports without an error that is raised from within a compiled p
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
@@ -72,8 +72,8 @@ def conjugate_gradients(
 
 DEPTH = 12
 """Earlier iterations of which `accelerated` makes use."""
-MOST_ACCELERATED = 25
-"""Iterations after which it gives up."""
+MOST_ACCELERATED, MOST_LEARNING = 25, 32
+"""Iterations after which it gives up; where most are cheap."""
 _FALLS = 0.1, 0.9
 """Between which one step of it is thought to be over the step before."""
 
@@ -85,6 +85,27 @@ class Accelerated(NamedTuple):
     """Also where they did not converge."""
     converged: Bool[Array, ""]
     iterations: Int[Array, ""]
+    known: Any = None
+    """What steps know, of those that learn."""
+
+
+class _Turn(NamedTuple):
+    """Between iterations."""
+
+    z: Array
+    before: Array
+    """The last z."""
+    change_before: Array
+    ways: Array
+    changes: Array
+    last: Array
+    """Size of the last change."""
+    left: Array
+    number: Array
+    known: Any
+    learn: Array
+    """Whether the step that comes is one that learns."""
+    done: Array
 
 
 def accelerated(
@@ -101,21 +122,56 @@ def accelerated(
     **Arguments**: z -> (f, its size); first z; what may be left of f, f added once more: so much as the
     last two let expect.
     """
+    return _accelerated(lambda z, _: step(z), None, None, start, enough)
+
+
+def learning(
+    step: Callable[[Array, Any], tuple[Array, Array]],
+    learn: Callable[[Array], tuple[Array, Array, Any]],
+    known: Any,
+    start: Float[Array, " numbers"],
+    enough: Float[Array, ""],
+) -> Accelerated:
+    """The same where f is dear, and cheap with what is known of it: what a cheap form leaves out, which
+    hardly changes. When iterations of that form have ended it is learned anew, and they go on until a
+    step that learns ends them.
+
+    **Arguments**: cheap form of f of z and of what is known, and its size; f, its size, and what there
+    is to know at z; what is known at first; first z; what may be left.
+    """
+    return _accelerated(step, learn, known, start, enough)
+
+
+def _accelerated(
+    step: Callable[[Array, Any], tuple[Array, Array]],
+    learn: Any,
+    known: Any,
+    start: Array,
+    enough: Array,
+) -> Accelerated:
     dtype, count = start.dtype, len(start)
+    limit = MOST_ACCELERATED if learn is None else MOST_LEARNING
 
-    def unfinished(turn: tuple[Array, ...]) -> Array:
-        *_, size, left, number = turn
-        return ~(left <= enough) & (number < MOST_ACCELERATED) & jnp.isfinite(size)
+    def unfinished(turn: _Turn) -> Array:
+        return ~turn.done & (turn.number < limit) & jnp.isfinite(turn.last)
 
-    def body(turn: tuple[Array, ...]) -> tuple[Array, ...]:
-        z, before, change_before, ways, changes, last, _, number = turn
-        change, size = step(z)
-        slot = (number - 1) % DEPTH
-        new = number > 0
-        part = jnp.where(new, jnp.clip(size / last, *_FALLS), 0.5)
+    def body(turn: _Turn) -> _Turn:
+        z, known, first = turn.z, turn.known, turn.number == 0
+
+        def cheap() -> tuple[Array, Array, Any]:
+            return *step(z, known), known
+
+        if learn is None:
+            change, size, known = cheap()
+        else:
+            change, size, known = lax.cond(turn.learn, lambda: learn(z), cheap)
+        slot = (turn.number - 1) % DEPTH
+        # From one form of f to another says nothing of how f changes.
+        new = ~first & ~turn.learn
+        part = jnp.where(new, jnp.clip(size / turn.last, *_FALLS), 0.5)
         left = size * part / (1 - part)
-        ways = ways.at[slot].set(jnp.where(new, z - before, 0.0))
-        changes = changes.at[slot].set(jnp.where(new, change - change_before, 0.0))
+        ways = turn.ways.at[slot].set(jnp.where(new, z - turn.before, 0.0))
+        changes = turn.changes.at[slot].set(jnp.where(new, change - turn.change_before, 0.0))
         gram, rhs = changes @ changes.T, changes @ change
         weight = jnp.diagonal(gram)
         weight = 1 / jnp.sqrt(jnp.where(weight > 0, weight, 1.0))
@@ -126,9 +182,14 @@ def accelerated(
         parts = weight * cholesky_solve(factor, weight * rhs)
         parts = jnp.where(positive & jnp.isfinite(parts), parts, 0.0)
         after = z + change - parts @ (ways + changes)
-        return after, z, change, ways, changes, size, left, number + 1
+        ended = left <= enough
+        done = ended if learn is None else ended & turn.learn
+        return _Turn(
+            after, z, change, ways, changes, size, left, turn.number + 1, known, ended & ~done, done
+        )
 
     none, most = jnp.zeros((DEPTH, count), dtype), jnp.asarray(jnp.finfo(dtype).max, dtype)
-    first = start, start, start, none, none, most, most
-    z, *_, left, number = lax.while_loop(unfinished, body, (*first, jnp.zeros((), int)))
-    return Accelerated(z, left <= enough, number)
+    no = jnp.zeros((), bool)
+    turn = _Turn(start, start, start, none, none, most, most, jnp.zeros((), int), known, no, no)
+    turn = lax.while_loop(unfinished, body, turn)
+    return Accelerated(turn.z, turn.done, turn.number, turn.known)

@@ -85,9 +85,9 @@ class Maps(eqx.Module):
             return Load()
         return constraint_map(self.t, self.state, self.scene).pull(multipliers)
 
-    def motion(self, load: Load) -> Motion:
-        """M' F."""
-        return self.parts.motion(load, self.still)
+    def motion(self, load: Load, many: bool = True) -> Motion:
+        """M' F, of many loads at once or of one."""
+        return self.parts.motion(load, self.still, many)
 
     def load(self, x: Float[Array, " numbers"], carried: bool = False) -> Load:
         """F + J^T lambda at x, with lambda held; of forces those alone that a fibre carries along itself

@@ -150,7 +150,7 @@ class Near(eqx.Module):
 
     def _pulled(self, multipliers: Array) -> Array:
         """T M' J^T lambda."""
-        return self.maps.rate(self.maps.motion(self.maps.pull(multipliers)))
+        return self.maps.rate(self.maps.motion(self.maps.pull(multipliers), many=False))
 
     def _stiff_load(self, rate: Array) -> Load:
         """g dF/dx k."""
@@ -162,8 +162,8 @@ class Near(eqx.Module):
         if self.touches is not None and push is not None:
             force = self.touches.forces(push, len(self.maps.state.position))
             load = add_loads(load, Load(force, self.maps.still.spin))
-            return add_motions(self.maps.motion(load), self.touches.flows(push))
-        return self.maps.motion(load)
+            return add_motions(self.maps.motion(load, many=False), self.touches.flows(push))
+        return self.maps.motion(load, many=False)
 
     def columns(self) -> Float[Array, "fibres size size"] | None:
         """W' fibre by fibre, in units of the coordinates: derivatives by the first number of each fibre
@@ -179,7 +179,13 @@ class Near(eqx.Module):
             shift = jnp.zeros_like(maps.x).at[number].set(chart.units[number], mode="drop")
             return self._moved(push(shift)) / chart.units
 
-        found = lax.map(column, jnp.asarray(numbers.T), batch_size=_COLUMNS)
+        # XLA: what is left of a last, smaller batch would be a program of its own.
+        size = numbers.shape[1]
+        turns = -(-size // _COLUMNS)
+        batch = -(-size // turns)
+        none = np.full((turns * batch - size, len(numbers)), len(chart.fibres))
+        every = np.concatenate([numbers.T, none]).reshape(turns, batch, -1)
+        found = lax.map(jax.vmap(column), jnp.asarray(every)).reshape(turns * batch, -1)[:size]
         found = found.at[:, numbers].get(mode="fill", fill_value=0.0)  # (column, fibre, row)
         return jnp.transpose(found, (1, 2, 0))
 

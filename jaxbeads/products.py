@@ -36,6 +36,8 @@ SOURCES = 2**14
 """The most beads that move others at a time."""
 NEIGHBOURS = 32
 """Beads on either side along the chain that count as neighbours."""
+_SLACK = 4.0
+"""Rounding by which neighbours may overlap and count as touching."""
 LEAST = 8 * NEIGHBOURS
 """Beads from which on this is done."""
 
@@ -94,9 +96,15 @@ def _added(terms: list[Term], d: list[Array], f: list[Array]) -> Array:
 
 
 def separate_sums(
-    to: Beads, of: Beads, task: Task, there: Bool[Array, "to of"] | None = None
+    to: Beads,
+    of: Beads,
+    task: Task,
+    there: Bool[Array, "to of"] | None = None,
+    slack: Array | float = 0.0,
 ) -> tuple[list[Array], Bool[Array, "to of"]]:
-    """The same by those of separate spheres, of all pairs or some; for which of all they do not hold."""
+    """The same by those of separate spheres, of all pairs or some; for which of all they do not hold, by
+    more than some slack.
+    """
     dtype, rotational, dim = task.dtype, task.rotational, to.position.shape[1]
     centre, turns = lax.stop_gradient(to.position[0]), spins(dim)
     at = [(of.position[:, c] - centre[c]) / task.length for c in range(dim)]
@@ -107,7 +115,7 @@ def separate_sums(
     x = _kept([((to.position[:, c] - centre[c]) / task.length).astype(dtype) for c in range(dim)])
     row, column = jnp.ones((1, len(y[0])), dtype), jnp.ones((len(x[0]), 1), dtype)
     d = [a[:, None] @ row - column @ b[None, :] for a, b in zip(x, y, strict=True)]
-    k, overlap = separate(d, _radii(to, of), there)
+    k, overlap = separate(d, _radii(to, of), there, slack)
 
     def dyadic(field: Array, f: list[Array]) -> list[Array]:
         """Sums over j of field d (d . f_j)."""
@@ -162,7 +170,29 @@ def neighbour_sums(rows: Int[Array, " rows"], every: Beads, task: Task) -> list[
     start, near = _neighbours(rows, every)
     places = rows, start + jnp.arange(near)
     to, of = (jax.tree.map(lambda x, at=at: x[at], every) for at in places)
-    return all_sums(to, of, task)
+    apart = places[0][:, None] != places[1][None, :]
+    exact = task._replace(dtype=np.dtype(to.position.dtype))
+    # Neighbours touch, but for rounding of where they are.
+    furthest = jnp.max(jnp.abs(of.position)) / task.length
+    slack = _SLACK * float(jnp.finfo(exact.dtype).eps) * (1 + furthest)
+    found, overlap = separate_sums(to, of, exact, apart, slack)
+    fine = ~jnp.any(overlap & apart)
+    return lax.cond(fine, lambda: _with_own(found, to, task), lambda: all_sums(to, of, task))
+
+
+def _with_own(others: list[Array], to: Beads, task: Task) -> list[Array]:
+    """Sums over others, and what beads do to themselves."""
+    six, _, eight = factors(task.length)
+    radius = jnp.ones_like(six) if to.radius is None else to.radius
+    dim, whole = to.position.shape[1], [*others]
+    for x, factor, first in (
+        (to.load.force, six / radius, 0),
+        (to.load.torque, eight / radius**3, dim),
+    ):
+        if x is not None and first < len(others):
+            for k in range(x.shape[1]):
+                whole[first + k] = whole[first + k] + factor * x[:, k]
+    return whole
 
 
 def other_sums(
@@ -226,6 +256,18 @@ def joined(found: list[Array], rows: np.ndarray, configuration: Configuration) -
     """The motion, from sums in blocks of beads."""
     first = np.unique(rows, return_index=True)[1]
     return as_motion([x.ravel()[first] / configuration.viscosity for x in found], configuration)
+
+
+def among(configuration: Configuration, load: Load) -> Motion:
+    """M F of a few beads, all of which are taken for neighbours, in a form that is not for derivatives,
+    nor for many loads at once.
+
+    **Arguments**: spheres, nowhere near the boundary of a domain; loads.
+    """
+    every, task = beads_of(configuration, load, False)
+    rows = np.arange(configuration.beads)[None]
+    found = neighbour_sums(jnp.asarray(rows[0]), every, task)
+    return joined(found, rows, configuration)
 
 
 def motion(configuration: Configuration, load: Load, single: bool = False) -> Motion:

@@ -49,6 +49,8 @@ OFF = 3.0
 """
 SINGLE = 1e-6
 """Error from which on single precision will do."""
+COARSE = 6, 1.0, 0.1
+"""Nodes, `APART` and error of coarse products."""
 
 
 class _Segments(NamedTuple):
@@ -100,7 +102,9 @@ def _segments(pieces: tuple[int, ...], nodes: int) -> _Segments:
     )
 
 
-def _near(position: Array, segments: _Segments, error: float) -> Bool[Array, "segments segments"]:
+def _near(
+    position: Array, segments: _Segments, distance: float, error: float
+) -> Bool[Array, "segments segments"]:
     """Which segments interact bead by bead."""
     x, nodes = position[segments.rows], position[segments.nodes]
     middle = jnp.mean(nodes, axis=1)
@@ -109,7 +113,7 @@ def _near(position: Array, segments: _Segments, error: float) -> Bool[Array, "se
     between = jnp.einsum("sbp,spc->sbc", segments.weights, nodes)
     off = peak(jnp.linalg.norm(x - between, axis=2) * segments.there, axis=1)
     one, other = reach[:, None], reach[None]
-    enough = jnp.minimum(one, other) + APART * jnp.maximum(one, other)
+    enough = jnp.minimum(one, other) + distance * jnp.maximum(one, other)
     rough = jnp.maximum(off[:, None], off[None]) / (OFF * error)
     return segments.band | ~(apart >= jnp.maximum(enough, rough))  # also where there is NaN
 
@@ -166,12 +170,35 @@ def motion(configuration: Configuration, load: Load, error: float) -> Motion:
 
     **Arguments**: spheres (their images in boundaries are left out); loads; the error.
     """
-    beads, pieces = configuration.beads, configuration.pieces or (configuration.beads,)
-    nodes = int(np.clip(np.ceil(12 + 2 * np.log10(1e-6 / error)), 8, 24))
-    enough = beads >= LEAST and beads > 2 * nodes * len(pieces)
-    if not enough or configuration.radius.ndim or not products.plain(configuration):
+    nodes = _nodes(error)
+    if not _used(configuration, nodes):
         return products.motion(configuration, load, single=error >= SINGLE)
-    segments = _segments(pieces, nodes)
-    near = _near(configuration.position, segments, error)
+    return _motion(configuration, load, nodes, APART, error)
+
+
+def coarse(configuration: Configuration, load: Load, error: float) -> Motion | None:
+    """The same to a percent or so, with few nodes and little that counts as near, if there is a `motion`
+    by segments to that error. Up to 10 000 beads it takes a third to two fifths of the time.
+    """
+    if not _used(configuration, _nodes(error)):
+        return None
+    return _motion(configuration, load, *COARSE)
+
+
+def _nodes(error: float) -> int:
+    return int(np.clip(np.ceil(12 + 2 * np.log10(1e-6 / error)), 8, 24))
+
+
+def _used(configuration: Configuration, nodes: int) -> bool:
+    beads, pieces = configuration.beads, configuration.pieces or (configuration.beads,)
+    enough = beads >= LEAST and beads > 2 * nodes * len(pieces)
+    return enough and not configuration.radius.ndim and products.plain(configuration)
+
+
+def _motion(
+    configuration: Configuration, load: Load, nodes: int, apart: float, error: float
+) -> Motion:
+    segments = _segments(configuration.pieces or (configuration.beads,), nodes)
+    near = _near(configuration.position, segments, apart, error)
     every, task = beads_of(configuration, load, error >= SINGLE)
     return joined(_sums(every, task, segments, near), segments.rows, configuration)

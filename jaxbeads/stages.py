@@ -10,9 +10,12 @@ fibres that do not feel one another, with M' of `windows` in place of M, and tak
 the loads, which are all that is stiff: those of M, of J and of the flow made no difference to the number
 of iterations. `iterations.accelerated` bends the way, and how long steps may be follows from how many
 iterations they take (`solver/esdirk.py`). Nothing is linearised as a whole, and nothing is iterated
-within an iteration. Derivatives are those of the two equations at the solution.
+within an iteration. Where a mobility has coarse products, they do for most iterations: what they leave
+out of the motion is smooth, carried from stage to stage and learnt anew by a product of both kinds, with
+which iterations end. Derivatives are those of the two equations at the solution.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -26,11 +29,12 @@ from ._typing import with_all_digits
 from .coordinates import AbstractCoordinates
 from .geometry import peak
 from .instant import ambient_motion, applied_load, moving
-from .iterations import accelerated
+from .iterations import accelerated, learning
+from .mobility import Operator
 from .near import Near, Unknowns
 from .saddle import constraint_map
 from .scene import Scene
-from .state import Load, add_loads, add_motions, zero_motion
+from .state import Load, Motion, add_loads, add_motions, zero_motion
 
 _SMALL = 1e-2
 """Weight of the multipliers, over the largest of them, beside displacements over their units."""
@@ -53,6 +57,8 @@ class Found(NamedTuple):
     fine: Bool[Array, ""]
     """Whether they converged."""
     products: Int[Array, ""]
+    left_out: Motion | None = None
+    """What the mobility's coarse product leaves out of the motion; `None` if it has none."""
 
 
 def _load(t: Array, x: Array, multipliers: Array, chart: AbstractCoordinates, scene: Scene) -> Load:
@@ -69,10 +75,24 @@ def residual(
     at: Unknowns,
     chart: AbstractCoordinates,
     scene: Scene,
-    differentiable: bool = True,
-    beside: Load | None = None,
 ) -> Unknowns:
-    """k - f and J V + B; one product with M, to the error that it allows unless it is differentiable.
+    """k - f and J V + B; one product with M."""
+
+    def product(operator: Operator, load: Load) -> tuple[Motion, None]:
+        return operator.motion(load), None
+
+    return _residual(stage, at, chart, scene, product)[0]
+
+
+def _residual(
+    stage: Stage,
+    at: Unknowns,
+    chart: AbstractCoordinates,
+    scene: Scene,
+    product: Callable[[Operator, Load], tuple[Motion, Any]],
+    beside: Load | None = None,
+) -> tuple[Unknowns, Any]:
+    """The same with any product, and what it gives beside the motion (`None` where there are no loads).
     There may be loads `beside` those of the scene.
     """
     t, x = stage.t, stage.base + stage.ahead * at.rate
@@ -80,18 +100,16 @@ def residual(
     load, ambient = _load(t, x, at.multipliers, chart, scene), ambient_motion(t, state, scene)
     if beside is not None:
         load = add_loads(load, beside)
-    if load.force is None and load.torque is None:
-        motion = zero_motion(state, scene.rotational)
-    else:
-        operator = scene.operator(state)
-        motion = operator.motion(load) if differentiable else operator.product(load, exact=False)
+    motion, more = zero_motion(state, scene.rotational), None
+    if load.force is not None or load.torque is not None:
+        motion, more = product(scene.operator(state), load)
     if ambient is not None:
         motion = add_motions(motion, ambient)
     rate = chart.rate(x, state, moving(state, motion, scene.chain, scene.own_rate(t, state)))
     slip = at.multipliers
     if scene.constraints:
         slip = constraint_map(t, state, scene).slip(motion)
-    return Unknowns(at.rate - rate, slip)
+    return Unknowns(at.rate - rate, slip), more
 
 
 class _Scale(NamedTuple):
@@ -123,14 +141,16 @@ def solved_stage(
     near: Near,
     guess: Unknowns,
     enough: Array,
+    left_out: Motion | None = None,
 ) -> Found:
     """Rate and multipliers of a stage.
 
     **Arguments**: stage; h, the length of the step; the chart; scene; what is solved instead; a guess;
-    change of the step, over the coordinates' units, below which iterations end.
+    change of the step, over the coordinates' units, below which iterations end; what coarse products are
+    thought to leave out (`None`: there are none).
     """
-    near, guess, enough = lax.stop_gradient((near, guess, enough))
-    return _stage(stage, h, chart, scene, near, guess, enough)
+    near, guess, enough, left_out = lax.stop_gradient((near, guess, enough, left_out))
+    return _stage(stage, h, chart, scene, near, guess, enough, left_out)
 
 
 @eqx.filter_custom_jvp
@@ -142,6 +162,7 @@ def _stage(
     near: Near,
     guess: Unknowns,
     enough: Array,
+    left_out: Motion | None,
 ) -> Found:
     scale, implicit = _scale(h, chart, guess.multipliers), stage.ahead != 0
     first, touches = scale.joined(guess), near.touches
@@ -153,30 +174,60 @@ def _stage(
         most = jnp.where(most > 0, most, 1.0) / _SMALL
         first = jnp.concatenate([first, push / most])
 
-    def step(numbers: Array) -> tuple[Array, Array]:
+    def step(numbers: Array, product: Any) -> tuple[Array, Array, Any]:
         at, push = scale.parted(numbers[:count]), numbers[count:] * most
         gap, beside = push, None
         if touches is not None:
             state = chart.state(stage.base + stage.ahead * at.rate)
             gap = touches.pairs.gap(state.position)
             beside = Load(touches.beside(state.position, push))
-        off = residual(stage, at, chart, scene, differentiable=False, beside=beside)
+        off, more = _residual(stage, at, chart, scene, product, beside)
         if touches is None:
             change, pushed = near.answer(off, implicit), push
         else:
             change, pushed = near.met(off, implicit, gap, push)
         size = peak(change.rate * scale.rate)
-        return jnp.concatenate([scale.joined(change), pushed / most]), size
+        return jnp.concatenate([scale.joined(change), pushed / most]), size, more
 
-    found = accelerated(step, first, enough)
-    return Found(scale.parted(found.solution[:count]), found.converged, found.iterations)
+    if left_out is None:
+        found = accelerated(lambda numbers: step(numbers, _whole)[:2], first, enough)
+    else:
+
+        def coarse(numbers: Array, left_out: Motion) -> tuple[Array, Array]:
+            def product(operator: Operator, load: Load) -> tuple[Motion, None]:
+                return add_motions(_coarse(operator, load), left_out), None
+
+            return step(numbers, product)[:2]
+
+        def learn(numbers: Array) -> tuple[Array, Array, Motion]:
+            change, size, more = step(numbers, _both)
+            return change, size, left_out if more is None else more
+
+        found = learning(coarse, learn, left_out, first, enough)
+    unknowns = scale.parted(found.solution[:count])
+    return Found(unknowns, found.converged, found.iterations, found.known)
+
+
+def _whole(operator: Operator, load: Load) -> tuple[Motion, None]:
+    return operator.product(load, exact=False), None
+
+
+def _coarse(operator: Operator, load: Load) -> Motion:
+    motion: Any = operator.coarse(load)
+    return motion
+
+
+def _both(operator: Operator, load: Load) -> tuple[Motion, Motion]:
+    """The motion, and what of it the coarse product leaves out."""
+    motion = operator.product(load, exact=False)
+    return motion, jax.tree.map(jnp.subtract, motion, _coarse(operator, load))
 
 
 @_stage.def_jvp
 @with_all_digits
 def _stage_jvp(primals: Any, tangents: Any) -> tuple[Found, Found]:
     """With R the two equations, dz = -(dR/dz)^-1 dR."""
-    stage, h, chart, scene, near, guess, _ = primals
+    stage, h, chart, scene, near, guess, *_ = primals
     found = _stage(*primals)
     at = found.unknowns
     scale, implicit = _scale(h, chart, guess.multipliers), stage.ahead != 0
@@ -217,4 +268,5 @@ def _stage_jvp(primals: Any, tangents: Any) -> tuple[Found, Found]:
         lambda product, b: solve(product, b, near.transposed, backward),
     )
     no: Any = None
-    return found, Found(apart(answer), no, no)
+    none = jax.tree.map(lambda _: None, found.left_out)
+    return found, Found(apart(answer), no, no, none)

@@ -37,6 +37,8 @@ HALF = 32
 """Bonds in half a window."""
 MOST_WHOLE = 150
 """Beads of the longest fibre up to which fibres are windows of their own."""
+_MANY = 1000
+"""Beads of a scene from which on one load at a time has a form of its own."""
 _STEPS = np.arange(2 * HALF + 1)
 _WEIGHTS = np.where(_STEPS < 2 * HALF, np.sin(np.pi * _STEPS / (2 * HALF)), 0.0)
 
@@ -78,7 +80,7 @@ class Banded(eqx.Module):
 
 
 class Blocks(eqx.Module):
-    """S' fibre by fibre: L^-1 of each S' = L L^T."""
+    """S'^-1 fibre by fibre."""
 
     inverse: Float[Array, "fibres size size"]
     fibres: tuple[int, ...] = eqx.field(static=True)
@@ -89,8 +91,7 @@ class Blocks(eqx.Module):
         rows = rhs.reshape(-1, sum(self.fibres) - 1)
         parts = rows.at[:, bonds].get(mode="fill", fill_value=0.0)
         parts = jnp.swapaxes(parts, 0, 1).reshape(len(bonds), -1)
-        half = jnp.einsum("fij,fj->fi", self.inverse, parts)
-        found = jnp.einsum("fji,fj->fi", self.inverse, half)
+        found = jnp.einsum("fij,fj->fi", self.inverse, parts)
         found = jnp.swapaxes(found.reshape(len(bonds), -1, bonds.shape[1]), 0, 1)
         return rows.at[:, bonds].set(found, mode="drop").ravel()
 
@@ -114,13 +115,16 @@ class AbstractParts(eqx.Module):
     def each(self, function: Callable[[Array, Array], Any]) -> Any:
         """function(beads, weights) of each part, one after the other."""
 
-    def motion(self, load: Load, still: Motion) -> Motion:
-        """M' F."""
+    def motion(self, load: Load, still: Motion, many: bool = True) -> Motion:
+        """M' F, in a form for many loads at once, or else for one."""
+        many = many or self.chain.beads < _MANY
 
         def one(beads: Array, weights: Array) -> tuple[Array, Motion]:
             w = weights[:, None]
             part = jax.tree.map(lambda x: w * x[beads], load)
-            return beads, jax.tree.map(lambda v: w * v, self.operator.some(beads).motion(part))
+            operator = self.operator
+            moved = operator.some(beads).motion(part) if many else operator.among(beads, part)
+            return beads, jax.tree.map(lambda v: w * v, moved)
 
         beads, moved = self.each(one)
         return jax.tree.map(lambda v, part: v.at[beads].add(part), still, moved)
@@ -159,7 +163,8 @@ class Fibres(AbstractParts):
             there = jnp.tile(bonds, len(whole) // len(bonds))
             whole = jnp.where(there[:, None] & there[None, :], whole, 0.0) + jnp.diag(~there * 1.0)
             factor, positive = cholesky(whole)
-            return inverse_of_triangle(jnp.where(positive, factor, jnp.nan))
+            half = inverse_of_triangle(jnp.where(positive, factor, jnp.nan))
+            return half.T @ half
 
         return Blocks(self.each(inverse), self.chain.fibres)
 

@@ -38,7 +38,7 @@ def error(moved, exact):
 def near(spheres, wanted, nodes=12):
     """The part of all pairs of segments that interact bead by bead."""
     made = segments._segments(spheres.pieces, nodes)
-    return float(segments._near(spheres.position, made, wanted).mean())
+    return float(segments._near(spheres.position, made, segments.APART, wanted).mean())
 
 
 @pytest.fixture

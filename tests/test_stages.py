@@ -11,16 +11,17 @@ from cases import in_units
 from examples import EXAMPLES, springs, swimmers
 
 import jaxbeads as jb
-from jaxbeads import ESDIRK, Chain, Scene, iterations
+from jaxbeads import ESDIRK, Chain, Scene, iterations, segments
 from jaxbeads.constraint import Gears
 from jaxbeads.coordinates import coordinates
 from jaxbeads.force import Bending, Contact, ForceField, Weight
-from jaxbeads.iterations import accelerated
+from jaxbeads.iterations import accelerated, learning
 from jaxbeads.linearise import coordinate_rate
 from jaxbeads.mobility import RPY, FreeDraining
 from jaxbeads.near import Unknowns, near
 from jaxbeads.solver.tolerance import LargestError
-from jaxbeads.stages import Stage, solved_stage
+from jaxbeads.stages import Stage, _load, solved_stage
+from jaxbeads.state import zero_motion
 
 TIME = jnp.asarray(0.3)
 FAST = {"xla_backend_optimization_level": 0}
@@ -222,3 +223,97 @@ def test_few_beads_late_and_far_away(beads):
     expected = jb.rollout(model, state, ts, solver=jb.Rosenbrock(tolerance=1e-8))
     assert found.code == 0
     assert np.abs(found.final.position - expected.final.position).max() < 1e-5 * 8.0
+
+
+@pytest.fixture
+def coarse(monkeypatch):
+    """Coarse products of few beads; how much is near is as in large scenes."""
+    monkeypatch.setattr(segments, "BEADS", 25)
+    monkeypatch.setattr(segments, "LEAST", 0)
+
+
+def crowd(far_error=1e-5, fibres=8, beads=50):
+    """Fibres that settle close to one another, and a step of theirs."""
+    case = jb.scenes.cloud(fibres, beads, 100.0, 0.3)
+    scene = eqx.tree_at(lambda s: s.mobility, case.scene, RPY(far_error=far_error, dense=False))
+    return scene, case.state, 0.004 * float(case.ts[-1])
+
+
+def test_iterations_that_learn():
+    # f = c - A z with A near 1, known but for a slope of 3 % and all that is constant.
+    rng = np.random.default_rng(3)
+    matrix = jnp.eye(40) + 0.05 * jnp.asarray(rng.normal(size=(40, 40)))
+    most, dear = 0.03 * jnp.asarray(rng.normal(size=(40, 40))) / 7, []
+    solution = jnp.asarray(rng.normal(size=40))
+
+    def rest(z):
+        return matrix @ solution + most @ (solution - z)
+
+    def cheap(z, rest):
+        change = rest - matrix @ z
+        return change, jnp.abs(change).max()
+
+    def learn(z):
+        jax.debug.callback(lambda: dear.append(1))
+        return *cheap(z, rest(z)), rest(z)
+
+    found = learning(cheap, learn, jnp.zeros(40), jnp.zeros(40), jnp.asarray(1e-5))
+    jax.effects_barrier()
+    assert found.converged and np.abs(found.solution - solution).max() < 2e-5
+    assert np.abs(found.known - rest(solution)).max() < 1e-5
+    assert 2 <= len(dear) <= 6 and found.iterations > 2 * len(dear)
+
+
+def test_coarse_products_change_no_stage(coarse):
+    scene, state, h = crowd()
+    chart, ahead = coordinates(scene, state), 0.25 * h
+    still = zero_motion(state, True)
+    rows = jb.dynamics.evaluate(TIME, state, scene).multipliers
+    guess = Unknowns(jnp.zeros_like(chart.origin), rows)
+    at = Stage(TIME, chart.origin, jnp.asarray(ahead))
+
+    @partial(jax.jit, compiler_options=FAST)
+    def both():
+        close = near(TIME, chart.origin, at.ahead, chart, scene, guess.multipliers)
+        given = at, jnp.asarray(h), chart, scene, close, guess, jnp.asarray(1e-6)
+        plain, found = solved_stage(*given), solved_stage(*given, still)
+        return plain, found, solved_stage(*given, found.left_out)
+
+    plain, found, again = both()
+    assert plain.fine and plain.left_out is None
+    for one in (found, again):
+        off = h * np.abs(one.unknowns.rate - plain.unknowns.rate) / chart.units
+        assert one.fine and off.max() < 4e-6
+    assert again.products < found.products
+    end = chart.state(ahead * found.unknowns.rate)
+    load = _load(TIME, ahead * found.unknowns.rate, found.unknowns.multipliers, chart, scene)
+    operator = scene.operator(end)
+    left_out = operator.product(load, exact=False).velocity - operator.coarse(load).velocity
+    scale = np.abs(left_out).max()
+    assert np.abs(found.left_out.velocity - left_out).max() < 1e-2 * scale
+
+
+@pytest.mark.slow
+def test_steps_by_coarse_products(coarse):
+    scene, state, h = crowd(fibres=4)
+
+    def end(scene, far_error):
+        mobility = RPY(far_error=far_error, dense=False)
+        scene = eqx.tree_at(lambda s: s.mobility, scene, mobility)
+        moved = jb.rollout(scene, state, [0.0, 4 * h], solver=ESDIRK(tolerance=1e-6))
+        return moved.final.position
+
+    @partial(jax.jit, static_argnums=1, compiler_options=FAST)
+    def pushed(weight, far_error):
+        def of(weight):
+            heavier = eqx.tree_at(lambda s: s.forces[0].force, scene, weight)
+            return end(heavier, far_error)
+
+        return jax.jvp(of, (weight,), (0.1 * weight,))
+
+    weight = scene.forces[0].force
+    x, push = pushed(weight, 1e-5)
+    exact, exact_push = pushed(weight, 0.0)
+    length = float(jnp.max(scene.chain.length))
+    assert np.abs(x - exact).max() < 3e-5 * length
+    assert np.abs(push - exact_push).max() < 1e-3 * np.abs(exact_push).max()

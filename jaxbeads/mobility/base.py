@@ -79,6 +79,16 @@ class AbstractMobility(eqx.Module):
         """
         return self.motion(configuration, load)
 
+    def coarse(self, configuration: Configuration, load: Load) -> Motion | None:
+        """M F to a percent or so, for iterations that find what it leaves out by a few products; `None`
+        if there is none that is much faster.
+        """
+        return None
+
+    def among(self, configuration: Configuration, load: Load) -> Motion | None:
+        """M F of some beads of a large scene, if it can be had faster than by `tables`."""
+        return None
+
     def disturbance(
         self, configuration: Configuration, strain_rate: Float[Array, "*beads dim dim"]
     ) -> Motion | None:
@@ -170,6 +180,10 @@ class Operator(eqx.Module):
         """M F, not to be differentiated."""
         return self.mobility.product(self.configuration, load, exact)
 
+    def coarse(self, load: Load) -> Motion | None:
+        """M F about, if that is much faster, not to be differentiated."""
+        return self.mobility.coarse(self.configuration, load)
+
     def disturbance(self, strain_rate: Float[Array, "*beads dim dim"]) -> Motion | None:
         """C : E."""
         return self.mobility.disturbance(self.configuration, strain_rate)
@@ -187,6 +201,11 @@ class Operator(eqx.Module):
             must = "have `tables` for scenes without a dense mobility"
             fail("scene.mobility", must, f"{type(self.mobility).__name__} has none")
         return tables
+
+    def among(self, beads: Int[Array, " some"], load: Load) -> Motion:
+        """What loads of some beads do to them, not to be differentiated, one set of loads at a time."""
+        found = self.mobility.among(self.configuration.some(beads), load)
+        return self.some(beads).motion(load) if found is None else found
 
     def kept(self) -> Product:
         """What multiplies many loads in the shortest time: tables, if they are worth it."""

@@ -118,6 +118,19 @@ class RPY(AbstractMobility):
                 return segments.motion(configuration, load, self.far_error)
             return products.motion(configuration, load)
 
+    def coarse(self, configuration: Configuration, load: Load) -> Motion | None:
+        """M F by segments with few nodes, where they are what `product` uses."""
+        if _form(configuration) is not _FREE or not self.far_error:
+            return None
+        with shared_out(self.devices):
+            return segments.coarse(configuration, load, self.far_error)
+
+    def among(self, configuration: Configuration, load: Load) -> Motion | None:
+        """M F as of separate spheres, if they are."""
+        if _form(configuration) is not _FREE or not products.plain(configuration):
+            return None
+        return products.among(configuration, load)
+
     def disturbance(
         self, configuration: Configuration, strain_rate: Float[Array, "*beads dim dim"]
     ) -> Motion | None:

@@ -18,7 +18,7 @@ from ..near import Near, Unknowns, near
 from ..saddle import slips
 from ..scene import Scene
 from ..stages import Found, Stage, residual, solved_stage
-from ..state import State, zero_motion
+from ..state import Load, Motion, State, zero_motion
 from .base import AbstractSolver, CubicPath
 from .tolerance import default_tolerance
 
@@ -62,8 +62,8 @@ _ERROR = np.array(
 _NOT_FOUND: Any = diffrax.RESULTS.nonlinear_max_steps_reached
 _ENOUGH = 0.1
 """Change of a stage, over the tolerance, below which its iterations end."""
-_MANY = 15
-"""Iterations of a stage at which a step is long enough."""
+_MANY, _MANY_COARSE = 15, 21
+"""Iterations of a stage at which a step is long enough; where most are cheap."""
 _LONGEST, _SHORTER = 2.0, 0.25
 """How much longer the next step may be, and how long it is where iterations do not converge."""
 _SAFETY = 0.9
@@ -106,11 +106,13 @@ class Memory(NamedTuple):
     multipliers: Float[Array, " rows"]
     """Of the last stage, where the next step begins to look for its own."""
     products: Int[Array, ""]
-    """Products with the mobility, of the steps that were kept."""
+    """Products with the mobility, coarse ones too, of the steps that were kept."""
     moving: State
     """Rate of change of the state in the last stage, which is that of the next step's first."""
     known: Bool[Array, ""]
     """Whether there is one."""
+    left_out: Motion | None
+    """What coarse products leave out there, if there are any."""
 
 
 class Esdirk(diffrax.AbstractAdaptiveSolver):
@@ -118,7 +120,8 @@ class Esdirk(diffrax.AbstractAdaptiveSolver):
     method ESDIRK4(3)6L[2]SA of Kennedy & Carpenter, Appl. Numer. Math. 44 (2003) 139.
 
     A step has five implicit stages, each solved with its multipliers by iterations that take a product
-    with the mobility each (`stages`), and never the whole of a matrix. It works in `coordinates`, so
+    with the mobility each (`stages`), and never the whole of a matrix; of large scenes most are coarse,
+    and what these leave out goes from stage to stage. It works in `coordinates`, so
     that bonds keep their lengths at any step.
 
     **Argument**: `tolerance` of a step, over the longest fibre's length; iterations end at a tenth.
@@ -142,8 +145,11 @@ class Esdirk(diffrax.AbstractAdaptiveSolver):
         none, still = jnp.zeros((0,), y0.position.dtype), zero_motion(y0, args.rotational)
         if args.constraints:
             none = jnp.zeros_like(slips(jnp.asarray(t0), y0, args)(still))
-        moving = jax.tree.map(jnp.zeros_like, y0)
-        return Memory(none, jnp.zeros((), int), moving, jnp.zeros((), bool))
+        moving, left_out = jax.tree.map(jnp.zeros_like, y0), None
+        any_load, operator = Load(still.velocity, still.spin), args.operator(y0)
+        if jax.eval_shape(lambda: operator.coarse(any_load)) is not None:
+            left_out = still
+        return Memory(none, jnp.zeros((), int), moving, jnp.zeros((), bool), left_out)
 
     def step(
         self,
@@ -165,6 +171,7 @@ class Esdirk(diffrax.AbstractAdaptiveSolver):
             tolerance = max(_WITHOUT * default_tolerance(dtype), rounding)
         enough = _ENOUGH * jnp.asarray(tolerance, dtype)
         before = lax.stop_gradient(solver_state.multipliers)
+        left_out_before = lax.stop_gradient(solver_state.left_out)
         # What was found at the end of the step before is less rough than what its state asks for, of
         # which it is as accurate as iterations are, and costs nothing.
         known = solver_state.known & ~jnp.asarray(made_jump)
@@ -175,11 +182,16 @@ class Esdirk(diffrax.AbstractAdaptiveSolver):
             return near(*given, implicit)
 
         def stage(found: tuple[Any, ...], row: Any) -> tuple[Any, None]:
-            rates, multipliers, fine, products, most, close = found
+            rates, multipliers, fine, products, most, close, left_out = found
             index, a, c, ahead, weights = row
             at = Stage(t0 + c * h, h * (a @ rates), h * ahead)
-            pull = jnp.where(index == 0, before, weights @ multipliers)
-            guess = Unknowns(weights @ rates, pull)
+
+            def guessed(every: Any, last: Any) -> Any:
+                from_all = jax.tree.map(lambda x: jnp.tensordot(weights, x, 1), every)
+                return jax.tree.map(lambda x, y: jnp.where(index == 0, y, x), from_all, last)
+
+            guess = Unknowns(weights @ rates, guessed(multipliers, before))
+            thought = guessed(left_out, left_out_before)
             # All implicit stages are solved about the middle of the step, where its begin leads.
             close = lax.cond(
                 index == 1,
@@ -192,14 +204,15 @@ class Esdirk(diffrax.AbstractAdaptiveSolver):
             idle = Unknowns(jnp.where(first, begun, guess.rate), guess.multipliers)
             solved = lax.cond(
                 first | again,
-                lambda: Found(idle, fine, jnp.zeros((), int)),
-                lambda: solved_stage(at, h, chart, args, close, guess, enough),
+                lambda: Found(idle, fine, jnp.zeros((), int), thought),
+                lambda: solved_stage(at, h, chart, args, close, guess, enough, thought),
             )
             rates = rates.at[index].set(solved.unknowns.rate)
             multipliers = multipliers.at[index].set(lax.stop_gradient(solved.unknowns.multipliers))
             fine, products = fine & solved.fine, products + solved.products
             most = jnp.maximum(most, jnp.where(index > 0, solved.products, 0))
-            return (rates, multipliers, fine, products, most, close), None
+            left_out = jax.tree.map(lambda x, v: x.at[index].set(v), left_out, solved.left_out)
+            return (rates, multipliers, fine, products, most, close, left_out), None
 
         none = jnp.zeros((6, len(chart.origin)), dtype), jnp.zeros((6, len(before)), dtype)
         rows = (_A - np.diag(np.diag(_A)), _C, np.diag(_A), _GUESSES)
@@ -219,9 +232,10 @@ class Esdirk(diffrax.AbstractAdaptiveSolver):
         close, before, more = lax.cond(known, lambda: (idle[0], before, idle[2]), start)
         # A loop, so that a stage is compiled once.
         products = solver_state.products + more
-        first = (*none, jnp.asarray(True), products, jnp.zeros((), int), close)
+        every = jax.tree.map(lambda v: jnp.zeros((6, *v.shape), v.dtype), left_out_before)
+        first = (*none, jnp.asarray(True), products, jnp.zeros((), int), close, every)
         found, _ = lax.scan(stage, first, table)
-        rates, multipliers, fine, products, most, _ = found
+        rates, multipliers, fine, products, most, _, left_out = found
         if self.tolerance is not None:
             # Of a step that will be tried again nothing is known, also not on its way.
             rates = jnp.where(fine, rates, 0.0)
@@ -232,7 +246,8 @@ class Esdirk(diffrax.AbstractAdaptiveSolver):
         if self.tolerance is not None:
             # What iterations find hard is told as an error: the next step is longer by no more than
             # they allow, and one in which they did not converge is taken again.
-            allowed = jnp.clip(_MANY / most.astype(dtype), 0.95, _LONGEST)
+            many = _MANY if left_out is None else _MANY_COARSE
+            allowed = jnp.clip(many / most.astype(dtype), 0.95, _LONGEST)
             allowed = jnp.where(fine, allowed, _SHORTER)
             least = tolerance * jnp.max(args.chain.length) * (_SAFETY / allowed) ** 4
             off = _at_least(off, lax.stop_gradient(least), fine)
@@ -242,7 +257,9 @@ class Esdirk(diffrax.AbstractAdaptiveSolver):
         dense = {"coordinates": chart, "x1": x1, "bend": bend}
         result = diffrax.RESULTS.where(fine, diffrax.RESULTS.successful, _NOT_FOUND)
         moving = jax.jvp(chart.state, (x1,), (rates[5],))[1]
-        return y1, off, dense, Memory(multipliers[5], products, moving, jnp.asarray(True)), result
+        left_out = jax.tree.map(lambda v: lax.stop_gradient(v[5]), left_out)
+        memory = Memory(multipliers[5], products, moving, jnp.asarray(True), left_out)
+        return y1, off, dense, memory, result
 
     def func(self, terms: Any, t0: Any, y0: State, args: Scene) -> State:
         """The right-hand side."""
