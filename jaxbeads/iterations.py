@@ -7,6 +7,7 @@ which `Outcome` reports without an error that is raised from within a compiled p
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -144,7 +145,7 @@ def learning(
 
 def _accelerated(
     step: Callable[[Array, Any], tuple[Array, Array]],
-    learn: Any,
+    learn: Callable[[Array], tuple[Array, Array, Any]] | None,
     known: Any,
     start: Array,
     enough: Array,
@@ -164,7 +165,8 @@ def _accelerated(
         if learn is None:
             change, size, known = cheap()
         else:
-            change, size, known = lax.cond(turn.learn, lambda: learn(z), cheap)
+            dear = partial(learn, z)
+            change, size, known = lax.cond(turn.learn, dear, cheap)
         slot = (turn.number - 1) % DEPTH
         # From one form of f to another says nothing of how f changes.
         new = ~first & ~turn.learn

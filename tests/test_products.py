@@ -86,6 +86,28 @@ def test_forces_or_torques_alone(part):
     assert error(products.motion(spheres, load), whole) < 1e-13
 
 
+@pytest.mark.parametrize("rotational", [True, False])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_beads_of_one_part_among_themselves(dim, rotational):
+    x, load = fibres((90,), dim), loads(90, dim)
+    load = load if rotational else Load(load.force)
+    near = x.at[70].set(x[20] + 0.3)
+    for radius in (0.9, np.random.default_rng(3).uniform(0.4, 1.4, 90)):
+        for position in (x + 1e3, near, near.at[3].set(near[4])):
+            spheres = Configuration(position, radius, 1.3, rotational, Unbounded(), (90,))
+            whole = tensors.rpy(spheres).motion(load)
+            assert error(products.among(spheres, load), whole) < 2e-13
+
+
+@pytest.mark.parametrize("off", [-1e-13, 0.0, 1e-13, -1e-9])
+def test_neighbours_that_touch_but_for_rounding(off):
+    x = 0.9 * (2 + off) * jnp.arange(300.0)[:, None] * jnp.array([[0.6, 0.0, 0.8]]) + 1e3
+    load = loads(300, 3)
+    spheres = Configuration(x, 0.9, 1.3, True, Unbounded(), (300,))
+    whole = tensors.rpy(spheres).motion(load)
+    assert error(products.motion(spheres, load), whole) < 2e-12
+
+
 def test_beads_that_overlap_without_being_neighbours():
     # A ball of overlapping beads, some in one place; and one pair of fibres that cross.
     rng = np.random.default_rng(5)

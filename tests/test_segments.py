@@ -111,6 +111,21 @@ def test_beads_a_little_off_their_curve(small):
         assert 1e-8 < off < wanted
 
 
+def test_coarse_products(small, monkeypatch):
+    spheres, load = cloud((50,) * 48, spacing=30.0)
+    for far_error in (1e-5, 1e-10):
+        mobility = RPY(dense=False, far_error=far_error)
+        moved = mobility.coarse(spheres, load)
+        exact = tensors.rpy_motion(spheres, load)
+        if far_error == 1e-10:  # there so many nodes are asked for that exact sums take over
+            assert moved is None
+        else:
+            assert 1e-4 < error(moved, exact) < 2e-2
+    assert RPY(dense=False).coarse(spheres, load) is None
+    monkeypatch.setattr(segments, "LEAST", 1e6)
+    assert RPY(dense=False, far_error=1e-5).coarse(spheres, load) is None
+
+
 def test_a_bead_that_is_nowhere_is_seen_by_all(small):
     spheres, load = cloud((50,) * 24)
     lost = spheres.at(spheres.position.at[17].set(jnp.nan))

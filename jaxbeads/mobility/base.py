@@ -31,7 +31,8 @@ class AbstractMobility(eqx.Module):
     symmetric, so that its transpose is itself. `disturbance` is C : E, for beads that feel one
     another's resistance to strain. The rest makes it faster: with `tables` the matrices of constraints
     are assembled from fields of pairs (and large scenes are iterated), `gradient` finds the derivatives
-    by the positions for pairs. `fluid_velocity`, if it knows of a fluid between the beads, is what
+    by the positions for pairs, `product`, `coarse` and `among` are what implicit steps of large scenes
+    iterate. `fluid_velocity`, if it knows of a fluid between the beads, is what
     `flow_field` shows.
 
     >>> import jax.numpy as jnp

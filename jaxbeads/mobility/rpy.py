@@ -63,7 +63,8 @@ class RPY(AbstractMobility):
     - `far_error`: error of the velocities, over the largest, that the influence of beads far away may
       have in the steps of `ESDIRK` in an unbounded fluid, where there are no tables; from 1e-6 on they
       are in single precision, and from 2000 beads in long fibres on their segments interact by a
-      few beads (`jaxbeads.segments`). Derivatives are those of the exact sums. 0: none but rounding.
+      few beads (`jaxbeads.segments`), in most iterations by fewer still. Derivatives are those of the
+      exact sums. 0: none but rounding.
     - `devices`: how many devices share the pairs of beads out among them, where it is not dense (0: all,
       of all processes). By default one does all. Results are the same to rounding.
 
