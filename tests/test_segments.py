@@ -113,14 +113,8 @@ def test_beads_a_little_off_their_curve(small):
 
 def test_coarse_products(small, monkeypatch):
     spheres, load = cloud((50,) * 48, spacing=30.0)
-    for far_error in (1e-5, 1e-10):
-        mobility = RPY(dense=False, far_error=far_error)
-        moved = mobility.coarse(spheres, load)
-        exact = tensors.rpy_motion(spheres, load)
-        if far_error == 1e-10:  # there so many nodes are asked for that exact sums take over
-            assert moved is None
-        else:
-            assert 1e-4 < error(moved, exact) < 2e-2
+    moved = RPY(dense=False, far_error=1e-5).coarse(spheres, load)
+    assert 1e-4 < error(moved, tensors.rpy_motion(spheres, load)) < 2e-2
     assert RPY(dense=False).coarse(spheres, load) is None
     monkeypatch.setattr(segments, "LEAST", 1e6)
     assert RPY(dense=False, far_error=1e-5).coarse(spheres, load) is None
@@ -169,15 +163,13 @@ def test_a_step_with_segments(small):
     chain = jb.Chain(1.0, spheres.pieces)
     terms = {"constraints": [Gears()], "forces": [Weight([0.0, -1.0, 0.0]), Bending(1e3)]}
     state, ends = jb.State(spheres.position), []
-    for wanted in (0.0, 1e-6):
-        scene = jb.Scene(chain, 1.0, RPY(far_error=wanted), **terms)
-        ends.append(
-            jb.rollout(
-                scene, state, jnp.array([0.0, 5.0]), solver=jb.ESDIRK(substeps=1)
-            ).final.position
-        )
+    for wanted in (0.0, 1e-7):
+        scene, ts = jb.Scene(chain, 1.0, RPY(far_error=wanted), **terms), jnp.array([0.0, 5.0])
+        solution = jb.rollout(scene, state, ts, solver=jb.ESDIRK(substeps=1))
+        assert solution.code == 0
+        ends.append(solution.final.position)
     moved = np.abs(ends[0] - state.position).max()
-    assert moved > 1.0 and np.abs(ends[1] - ends[0]).max() < 1e-5 * moved
+    assert moved > 1.0 and 0 < np.abs(ends[1] - ends[0]).max() < 1e-6 * moved
 
 
 @pytest.mark.parametrize("platform", ["cpu", "cuda", "tpu"])
