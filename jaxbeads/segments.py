@@ -51,6 +51,8 @@ SINGLE = 1e-6
 """Error from which on single precision will do."""
 COARSE = 6, 1.0, 0.1
 """Nodes, `APART` and error of coarse products."""
+LEAST_COARSE = 6000
+"""Beads from which on they are made: of fewer, all else takes so long that more iterations do not pay."""
 
 
 class _Segments(NamedTuple):
@@ -181,7 +183,7 @@ def coarse(configuration: Configuration, load: Load, error: float) -> Motion | N
     by segments to that error. Of 10 000 beads it takes two fifths of the time. What rounding leaves is
     that of `motion`, so that iterations may go on as far.
     """
-    if not _used(configuration, _nodes(error)):
+    if configuration.beads < LEAST_COARSE or not _used(configuration, _nodes(error)):
         return None
     return _motion(configuration, load, *COARSE, error >= SINGLE)
 

@@ -46,6 +46,7 @@ def small(monkeypatch):
     """Segments of few beads, also of few fibres."""
     monkeypatch.setattr(segments, "BEADS", 25)
     monkeypatch.setattr(segments, "LEAST", 1000)
+    monkeypatch.setattr(segments, "LEAST_COARSE", 1000)
 
 
 @pytest.mark.slow
@@ -116,7 +117,7 @@ def test_coarse_products(small, monkeypatch):
     moved = RPY(dense=False, far_error=1e-5).coarse(spheres, load)
     assert 1e-4 < error(moved, tensors.rpy_motion(spheres, load)) < 2e-2
     assert RPY(dense=False).coarse(spheres, load) is None
-    monkeypatch.setattr(segments, "LEAST", 1e6)
+    monkeypatch.setattr(segments, "LEAST_COARSE", 1e6)
     assert RPY(dense=False, far_error=1e-5).coarse(spheres, load) is None
 
 

@@ -230,6 +230,7 @@ def coarse(monkeypatch):
     """Coarse products of few beads; how much is near is as in large scenes."""
     monkeypatch.setattr(segments, "BEADS", 25)
     monkeypatch.setattr(segments, "LEAST", 0)
+    monkeypatch.setattr(segments, "LEAST_COARSE", 0)
 
 
 def crowd(far_error=1e-5, fibres=8, beads=50):
