@@ -52,7 +52,7 @@ SINGLE = 1e-6
 COARSE = 6, 1.0, 0.1
 """Nodes, `APART` and error of coarse products."""
 LEAST_COARSE = 6000
-"""Beads from which on they are made: of fewer, all else takes so long that more iterations do not pay."""
+"""Beads from which on they are made: of fewer, all else takes too long for more iterations to pay."""
 
 
 class _Segments(NamedTuple):
