@@ -272,10 +272,8 @@ def _flows(
     def more(turn: tuple[Array, Motion]) -> tuple[Array, Motion]:
         count, flow = turn
         k, own = count // 2, count % 2
-        to, force = (
-            rows[fibre[k, own]],
-            pairs.direction[k],
-        )  # on the first; -1 times it on the second
+        # The direction is that of the push on the first.
+        to, force = rows[fibre[k, own]], pairs.direction[k]
         moved = of.across(to, bead[k, 1 - own], jnp.where(own == 0, -force, force))
         at = slot[k, own], jnp.where(apart[k], to, chain.beads)
         return count + 1, jax.tree.map(lambda x, v: x.at[at].set(v, mode="drop"), flow, moved)

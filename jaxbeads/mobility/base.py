@@ -32,8 +32,7 @@ class AbstractMobility(eqx.Module):
     another's resistance to strain. The rest makes it faster: with `tables` the matrices of constraints
     are assembled from fields of pairs (and large scenes are iterated), `gradient` finds the derivatives
     by the positions for pairs, `product`, `coarse` and `among` are what implicit steps of large scenes
-    iterate. `fluid_velocity`, if it knows of a fluid between the beads, is what
-    `flow_field` shows.
+    iterate. `fluid_velocity`, if it knows of a fluid between the beads, is what `flow_field` shows.
 
     >>> import jax.numpy as jnp
     >>> import jaxbeads as jb
