@@ -42,6 +42,7 @@ TRICKS = {
     "constraint/base.py": "a quotient is computed once, whoever reads it; hidden zeros are no padding",
     "coefficients.py": "a quotient is computed once, whoever reads it; the square of a reciprocal root",
     "factors.py": "a diagonal as a slice is no pass over the whole matrix",
+    "near.py": "batches of one size are one program",
     "pairs.py": "products with ones are not merged with what they multiply",
     "products.py": "a product is computed once, whoever reads it; which factor is transposed",
     "run.py": "one program for some steps rounds alike, however many it is asked for",
