@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 
 from . import material
 from .chain import Chain
-from .geometry import norm, spin_cross
+from .geometry import norm, peak, spin_cross
 from .state import Motion, State
 
 
@@ -199,6 +199,16 @@ def moving(state: State, motion: Motion, chain: Chain) -> State:
 def spun(state: State) -> bool:
     """Whether it has a part that the beads' spins change."""
     return any(part.spun for part in parts(state))
+
+
+def largest(change: State, arm: Float[Array, ""]) -> Float[Array, ""]:
+    """How far a small change of a state moves its worst bead, or the tip of an arm that turns with what
+    it carries [length].
+    """
+    worst = peak(norm(change.position))
+    for part in parts(change):
+        worst = jnp.maximum(worst, part.off(getattr(change, part.name), arm))
+    return worst
 
 
 def tidied(state: State, chain: Chain, besides: tuple[str, ...] = ()) -> State:

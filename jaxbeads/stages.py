@@ -26,6 +26,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
 from ._typing import with_all_digits
+from .carried import largest
 from .coordinates import AbstractCoordinates
 from .geometry import peak
 from .instant import ambient_motion, applied_load, moving
@@ -146,8 +147,9 @@ def solved_stage(
     """Rate and multipliers of a stage.
 
     **Arguments**: stage; h, the length of the step; the chart; scene; what is solved instead; a guess;
-    change of the step, over the coordinates' units, below which iterations end; what coarse products are
-    thought to leave out (`None`: there are none).
+    change of the step, over the longest fibre's length, below which iterations end: of positions, of
+    which bonds may turn by far more; what coarse products are thought to leave out (`None`: there are
+    none).
     """
     near, guess, enough, left_out = lax.stop_gradient((near, guess, enough, left_out))
     return _stage(stage, h, chart, scene, near, guess, enough, left_out)
@@ -166,7 +168,7 @@ def _stage(
 ) -> Found:
     scale, implicit = _scale(h, chart, guess.multipliers), stage.ahead != 0
     first, touches = scale.joined(guess), near.touches
-    count, most = len(first), jnp.ones((), first.dtype)
+    count, most, arm = len(first), jnp.ones((), first.dtype), jnp.max(scene.chain.length)
     if touches is not None:  # pushes of pairs are unknowns, too
         position = chart.state(stage.base + stage.ahead * guess.rate).position
         push = touches.first(position, implicit)
@@ -176,9 +178,9 @@ def _stage(
 
     def step(numbers: Array, product: Any) -> tuple[Array, Array, Any]:
         at, push = scale.parted(numbers[:count]), numbers[count:] * most
-        gap, beside = push, None
+        x, gap, beside = stage.base + stage.ahead * at.rate, push, None
         if touches is not None:
-            state = chart.state(stage.base + stage.ahead * at.rate)
+            state = chart.state(x)
             gap = touches.pairs.gap(state.position)
             beside = Load(touches.beside(state.position, push))
         off, more = _residual(stage, at, chart, scene, product, beside)
@@ -186,7 +188,8 @@ def _stage(
             change, pushed = near.answer(off, implicit), push
         else:
             change, pushed = near.met(off, implicit, gap, push)
-        size = peak(change.rate * scale.rate)
+        moved = jax.jvp(chart.state, (x,), (h * change.rate,))[1]
+        size = largest(moved, arm) / arm
         return jnp.concatenate([scale.joined(change), pushed / most]), size, more
 
     if left_out is None:

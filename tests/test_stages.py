@@ -83,6 +83,25 @@ def test_a_number_that_is_none_is_not_passed_over():
     assert np.isnan(LargestError(jnp.asarray(1.0))(error))
 
 
+@pytest.mark.parametrize("away", [0.0, 300.0])
+def test_rounding_does_not_keep_iterations_from_ending(away):
+    # Of positions: it turns the bonds of a bent fibre by more than a tenth of the tolerance.
+    s = np.linspace(-1.5, 1.5, 40)[1:]
+    x = away + np.cumsum(2 * np.stack([np.cos(s), np.sin(s)], axis=1), axis=0)
+    chain = Chain(radius=1.0, fibres=len(x))
+    scene = Scene(chain, 1.0, FreeDraining(), [Gears()], [Bending(100.0)])
+    in_double = scene, jb.State(jnp.asarray(x))
+    in_single = jax.tree.map(lambda x: x.astype(jnp.float32), in_double)
+    double, single = (
+        jb.rollout(*given, [0.0, 25600.0], solver=ESDIRK(tolerance=1e-4), single_precision=True)
+        for given in (in_double, in_single)
+    )
+    assert single.code == double.code == 0 and single.steps < 2 * double.steps
+    assert single.final.position.dtype == jnp.float32
+    assert np.abs(single.final.position - double.final.position).max() < 5e-4 * 80
+    assert np.abs(double.final.position - x).max() > 10
+
+
 def solve(base, h, ahead, chart, model):
     """A stage at t = 0.3 from no guess."""
     rows = len(jb.dynamics.evaluate(TIME, chart.start, model).multipliers)

@@ -5,9 +5,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..carried import parts
+from ..carried import largest
 from ..chain import Chain
-from ..geometry import norm, peak
 from ..state import State
 
 
@@ -22,10 +21,7 @@ class LargestError(eqx.Module):
 
     def __call__(self, error: State) -> Float[Array, ""]:
         """The largest."""
-        worst = peak(norm(error.position))
-        for part in parts(error):
-            worst = jnp.maximum(worst, part.off(getattr(error, part.name), self.arm))
-        return worst
+        return largest(error, self.arm)
 
 
 def controller_for(tolerance: Float[Array, ""] | float, chain: Chain) -> diffrax.PIDController:
