@@ -18,9 +18,9 @@ largest. `product_1e4_s` and `product_1e5_s` are these. Coarse products are thos
 
 A step of `ESDIRK`, of 0.02 of the time in which a fibre falls by its length, after twice as long a fall,
 of a fibre of 1000 beads in the plane (B = 1000) and of bent ones: seconds of the step and of a stage,
-products with the mobility in a stage (coarse ones, too), error of the way in the coordinates, of the
-largest, against iterations that go on to 1e-11, of exact sums. `stage_s` and `stage_error` are those of
-the many fibres, whose sums have a `far_error` of 1e-6.
+products with the mobility in a stage (coarse ones, too), error of the beads' way, over the largest,
+against iterations that go on to 1e-11, of exact sums. `stage_s` and `stage_error` are those of the many
+fibres, whose sums have a `far_error` of 1e-6.
 
 A cloud (the scene of that name, B = 1000, half a length apart) falls by two lengths: steps, products,
 seconds of the run and of compiling, and its error, the largest distance of a bead over L from where it
@@ -42,7 +42,6 @@ from record import Program, duration, number, order, table
 import jaxbeads as jb
 from jaxbeads import dynamics, saddle, scenes, tensors
 from jaxbeads.constraint import Gears
-from jaxbeads.coordinates import coordinates
 from jaxbeads.force import Bending, Weight
 from jaxbeads.iterations import conjugate_gradients
 from jaxbeads.mobility import RPY
@@ -220,19 +219,18 @@ def stage(scene: jb.Scene, state: jb.State, taken: jb.Scene) -> dict[str, float]
     ts = jnp.array([0.0, 2 * h])
     stepper = stepper_for(scene, ts, jb.ESDIRK(tolerance=STAGE_TOLERANCE))
     state = after(stepper, scene, state, ts).memory.state
-    chart = eqx.filter_jit(coordinates)(scene, state)
 
     @eqx.filter_jit
     def begun(scheme: Any, state: jb.State, scene: jb.Scene) -> Any:
         memory = scheme.init(None, 0.0, h, state, scene)
         return scheme.step(None, 0.0, h, state, scene, memory, False)
 
-    def rates(tolerance: float, scene: jb.Scene) -> tuple[np.ndarray, int]:
-        _, _, dense, memory, _ = begun(Esdirk(jnp.asarray(tolerance)), state, scene)
-        return np.asarray(dense["x1"] / chart.units), int(memory.products)
+    def way(tolerance: float, scene: jb.Scene) -> tuple[np.ndarray, int]:
+        end, _, _, memory, _ = begun(Esdirk(jnp.asarray(tolerance)), state, scene)
+        return np.asarray(end.position - state.position), int(memory.products)
 
-    found, products = rates(STAGE_TOLERANCE, taken)
-    exact, _ = rates(1e-10, scene)
+    found, products = way(STAGE_TOLERANCE, taken)
+    exact, _ = way(1e-10, scene)
     step = Esdirk(jnp.asarray(STAGE_TOLERANCE))
     seconds = 1e-3 * median_ms(begun, step, state, taken)
     return {
