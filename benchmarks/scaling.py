@@ -337,7 +337,7 @@ def tables(figures: dict[str, Any]) -> dict[str, list[str]]:
     ]
     heads = (
         ("beads", "exact product", "with `far_error=1e-6`", "error", "coarse", "error"),
-        ("beads", "step", "stage", "products in a stage", "error of the rates"),
+        ("beads", "step", "stage", "products in a stage", "error of the way"),
         (
             "cloud",
             "steps",
