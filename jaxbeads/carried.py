@@ -79,7 +79,7 @@ class AbstractPart(abc.ABC):
 
     def off(self, error: Any, arm: Float[Array, ""]) -> Float[Array, ""]:
         """How far an error of it puts the end of an arm off [length]."""
-        return arm * jnp.max(norm(error))
+        return arm * peak(norm(error))
 
 
 class _Directors(AbstractPart):
@@ -166,7 +166,7 @@ class _Own(AbstractPart):
 
     def off(self, error: Any, arm: Float[Array, ""]) -> Float[Array, ""]:
         """Numbers of order one."""
-        return arm * jnp.max(jnp.abs(ravel_pytree(error)[0]), initial=0.0)
+        return arm * peak(ravel_pytree(error)[0])
 
 
 PARTS: tuple[AbstractPart, ...] = (_Directors(), _Frames(), _Own())

@@ -81,6 +81,11 @@ def test_a_number_that_is_none_is_not_passed_over():
     assert not found.fine and found.products == 1
     error = eqx.tree_at(lambda s: s.position, chart.start, x.at[7, 0].set(jnp.nan))
     assert np.isnan(LargestError(jnp.asarray(1.0))(error))
+    still = jnp.zeros((20_000, 3)).at[:, 0].set(1.0)
+    error = jb.State(still, director=still, own={"some": still})
+    for part in (lambda s: s.director, lambda s: s.own["some"]):
+        lost = eqx.tree_at(part, error, still.at[7].set(jnp.nan))
+        assert np.isnan(LargestError(jnp.asarray(1.0))(lost))
 
 
 @pytest.mark.parametrize("away", [0.0, 300.0])
