@@ -24,7 +24,7 @@ from .lengthwise import Lengthwise, Maps
 from .saddle import Iterations, iterations
 from .scene import Scene
 from .state import Load, Motion, add_loads, add_motions
-from .touching import Lone, Touches, placed, room, stiffness, touches
+from .touching import Lone, Touches, by_own_place, placed, room, touches
 from .windows import Fibres, Windows, parts
 
 _COLUMNS = 64
@@ -293,6 +293,9 @@ def near(
 def _between(maps: Maps) -> tuple[Array | None, AbstractTouching | None]:
     """Derivatives of the forces between any beads by each bead's own place, without those of the pairs
     that come beside.
+
+    Of these none is left, not even that of their direction, p/R across it: a push p of places that are
+    but guessed may be any, it drives beads off the line, and D would no longer be positive.
     """
     scene, (fibres, size) = maps.scene, _numbers(maps.chart).shape
     forces = [scene.forces[k] for k in maps.between]
@@ -306,6 +309,5 @@ def _between(maps: Maps) -> tuple[Array | None, AbstractTouching | None]:
     if pairs is None:
         return local, None
     pairs = placed(pairs, scene.chain, room(fibres, size)[1])[0]
-    n, stiff = pairs.direction, stiffness(pairs, pairs.gap(maps.state.position))
-    own = stiff[:, None, None] * n[:, :, None] * n[:, None, :]
+    own = -by_own_place(pairs, maps.state.position)
     return local.at[pairs.first].add(own).at[pairs.second].add(own), pairs

@@ -29,7 +29,7 @@ from jaxtyping import Array, Float, Int
 from .chain import Chain
 from .factors import inverse, solve
 from .force import AbstractTouching
-from .geometry import peak, unit
+from .geometry import norm, peak, unit
 from .state import Motion
 from .windows import padded
 
@@ -84,6 +84,17 @@ def placed(
 def stiffness(pairs: AbstractTouching, gap: Pairs) -> Pairs:
     """-dp/ds of the first pairs, if they are there."""
     return -jax.jvp(lambda s: _push(pairs, s), (gap,), (jnp.ones_like(gap),))[1]
+
+
+def by_own_place(
+    pairs: AbstractTouching, position: Float[Array, "beads dim"]
+) -> Float[Array, "pairs dim dim"]:
+    """Derivative of the force on either bead of each pair by its own place [force/length]."""
+    n, gap, distance = pairs.direction, pairs.gap(position), norm(pairs.apart(position))
+    across = _push(pairs, gap) / jnp.where(distance > 0, distance, 1.0)
+    along = n[:, :, None] * n[:, None, :]
+    aside = jnp.eye(n.shape[1], dtype=n.dtype) - along
+    return across[:, None, None] * aside - stiffness(pairs, gap)[:, None, None] * along
 
 
 def _push(pairs: AbstractTouching, gap: Pairs) -> Pairs:
