@@ -24,7 +24,7 @@ from .solver import AB3, ESDIRK, AbstractSolver, AdaptiveSteps, Diffrax, FixedSt
 from .solver.base import plain
 from .solver.explicit import substeps_for
 from .solver.stepping import Carry
-from .solver.tolerance import controller_for, default_tolerance
+from .solver.tolerance import default_tolerance
 from .state import State
 
 Stepper = FixedSteps | AdaptiveSteps
@@ -113,7 +113,7 @@ def _adaptive(scene: Scene, ts: Float[Array, " times"], solver: AbstractSolver) 
             )
             fail("tolerance", must, f"it is {plain(tolerance)}", "How do I choose a tolerance?")
         tolerance = jnp.asarray(tolerance, ts.dtype)
-        controller = controller_for(tolerance, scene.chain)
+        controller = solver.controlled(tolerance, scene.chain)
     projected = not solver.keeps_bonds if projected is None else projected
     solver = dataclasses.replace(solver, tolerance=tolerance, projected=bool(projected))
     return AdaptiveSteps(solver.tuned(controller), controller)

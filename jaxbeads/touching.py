@@ -93,7 +93,7 @@ def by_own_place(
     n, gap, distance = pairs.direction, pairs.gap(position), norm(pairs.apart(position))
     across = _push(pairs, gap) / jnp.where(distance > 0, distance, 1.0)
     along = n[:, :, None] * n[:, None, :]
-    aside = jnp.eye(n.shape[1], dtype=n.dtype) - along
+    aside = jnp.eye(n.shape[1], dtype=n.dtype)[None] - along
     return across[:, None, None] * aside - stiffness(pairs, gap)[:, None, None] * along
 
 

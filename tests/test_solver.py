@@ -18,6 +18,8 @@ from jaxbeads.constraint import Gears
 from jaxbeads.flow import OscillatingShear
 from jaxbeads.force import Bending, BendingEnergy, Weight
 from jaxbeads.solver import Diffrax, Rosenbrock, explicit_step, substeps_for
+from jaxbeads.solver.tolerance import Eased
+from jaxbeads.state import State
 
 CHAIN = Chain(1.0, 5)
 TIMES = np.linspace(0.0, 4.0, 3)
@@ -346,3 +348,28 @@ def test_gradients_of_a_batch(options):
     if "substeps" in options:
         inside = jax.jit(jax.vmap(jax.grad(end)))(viscosities)
         assert np.abs(inside / alone - 1).max() < 1e-10
+
+
+def test_steps_are_eased_before_their_error_is_too_large():
+    # A step is five long, its error the allowed one times `size`, and the error before was `before`.
+    eased = Eased(jnp.asarray(1e-3), jnp.asarray(20.0))
+
+    def after(size, before=1.0):
+        state = State(jnp.zeros((2, 3)))
+        off = state.position.at[1, 2].set(-size * 20e-3)
+        error = eqx.tree_at(lambda s: s.position, state, off)
+        keep, begin, end, jump, last, _ = eased.adapt_step_size(
+            2.0, 7.0, state, state, None, error, 4, jnp.asarray(before)
+        )
+        assert not jump and float(begin) == (7.0 if keep else 2.0)
+        assert float(last) == pytest.approx(max(size, 1e-6) if keep else before, rel=1e-12)
+        return bool(keep), float(end - begin) / 5
+
+    assert after(0.5, 0.25) == (True, pytest.approx(0.9 * 2**0.25 * 0.25**0.075))
+    assert after(0.99)[0] and after(0.99)[1] < 0.91  # shorter, though it is kept
+    assert after(0.0) == (True, pytest.approx(10.0))
+    assert after(1.01) == (False, pytest.approx(0.6))
+    assert after(168.0, 1e-3) == (False, pytest.approx(0.9 * 168**-0.25))
+    assert after(1e9) == (False, pytest.approx(0.2))
+    for none in (np.inf, np.nan):
+        assert after(none) == (False, pytest.approx(0.5))

@@ -91,6 +91,34 @@ def test_pairs_of_contact_and_their_places():
         assert all(at[fibre, s] in (first[k], second[k]) for s, k in enumerate(own))
 
 
+def test_force_of_a_pair_by_a_beads_own_place():
+    chain, contact = Chain(1.0, (1, 1)), Contact(30.0, 0.1, 0.1)
+    state = State(jnp.array([[0.0, 0.3, 0.0], [1.2, -0.4, 1.3]]))
+    scene = Scene(chain, 1.0, RPY(), forces=[contact])
+    pairs = contact.touching(state, scene, 3)
+    found = touching.by_own_place(pairs, state.position)
+
+    def force(x, k):
+        return contact.load(TIME, State(state.position.at[k].set(x)), scene).force[k]
+
+    assert [bool(there) for there in pairs.there] == [True, False, False]
+    for k in range(2):
+        whole = jax.jacfwd(force)(state.position[k], k)
+        assert np.abs(whole).max() > 10 and np.abs(found[0] - whole).max() < 1e-9
+    assert not np.asarray(found[1:]).any()
+
+
+@pytest.mark.parametrize("gap", [0.05, -0.4, -1.0])
+def test_matrices_of_fibres_keep_their_sign_however_deep_a_guess_is(gap):
+    scene, chart, _ = crossed(gap)
+    multipliers = jb.dynamics.evaluate(TIME, chart.start, scene).multipliers
+    close = near(TIME, chart.origin, jnp.asarray(3.0), chart, scene, 0 * multipliers)
+    # Of D^-1 = (1 - g W')^-1, where W' takes away from what is bent or off its place.
+    values = np.linalg.eigvals(np.asarray(close.inverse))
+    assert np.abs(values.imag).max() < 1e-9
+    assert values.real.min() > 0 and values.real.max() < 1 + 1e-9
+
+
 def test_the_answer_is_exact_where_fibres_do_not_feel_one_another():
     # Under local drag, and where repulsion sets in: it has a slope, but no size that turns with it.
     scene, chart, _ = crossed(0.1 * (1 - 1e-7))

@@ -10,7 +10,9 @@ from jaxtyping import Array, Float
 
 from .._checks import fail, kind, known, positive, shape, whole
 from .._typing import optional_float_array
+from ..chain import Chain
 from ..coordinates import AbstractCoordinates
+from .tolerance import controller_for
 
 
 class CubicPath(diffrax.AbstractLocalInterpolation):
@@ -117,6 +119,12 @@ class AbstractSolver(eqx.Module):
     def needs_derivatives(self) -> bool:
         """Whether a step needs derivatives of the scene's terms."""
         return self.implicit
+
+    def controlled(
+        self, tolerance: Float[Array, ""], chain: Chain
+    ) -> diffrax.AbstractStepSizeController:
+        """What a tolerance means."""
+        return controller_for(tolerance, chain)
 
     def tuned(self, controller: diffrax.AbstractStepSizeController) -> "AbstractSolver":
         """The same, with what its scheme takes from the controller."""

@@ -12,7 +12,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from ..carried import largest
+from ..chain import Chain
 from ..coordinates import coordinates
 from ..geometry import norm
 from ..near import Near, Unknowns, near
@@ -21,7 +21,7 @@ from ..scene import Scene
 from ..stages import Found, Stage, residual, solved_stage
 from ..state import Load, Motion, State, zero_motion
 from .base import AbstractSolver, CubicPath
-from .tolerance import default_tolerance
+from .tolerance import SAFETY, Eased, default_tolerance
 
 # ESDIRK4(3)6L[2]SA: k_i = f(t + C_i h, y + h sum A_ij k_j), y1 = y + h sum A_6j k_j.
 _GAMMA = 0.25
@@ -65,12 +65,8 @@ _ENOUGH = 0.1
 """Change of a stage, over the tolerance, below which its iterations end."""
 _MANY, _MANY_COARSE = 15, 21
 """Iterations of a stage at which a step is long enough; where most are cheap."""
-_LONGEST, _SHORTER, _AGAIN = 2.0, 0.25, 0.5
-"""How much longer the next step may be; how long it is where iterations do not converge, and at most
-where the error is too large: where beads meet it falls more slowly with the step than elsewhere.
-"""
-_SAFETY = 0.9
-"""That of the controller: the next step over the one that would meet the tolerance."""
+_LONGEST, _SHORTER = 2.0, 0.25
+"""How much longer the next step may be, and how long it is where iterations do not converge."""
 _WITHOUT = 1e-3
 """The tolerance where there is none, over the usual one."""
 
@@ -252,10 +248,8 @@ class Esdirk(diffrax.AbstractAdaptiveSolver):
             many = _MANY if left_out is None else _MANY_COARSE
             allowed = jnp.clip(many / most.astype(dtype), 0.95, _LONGEST)
             arm = jnp.max(args.chain.length)
-            beyond = largest(off, arm) > tolerance * arm
-            allowed = jnp.where(beyond, jnp.minimum(allowed, _AGAIN), allowed)
             allowed = jnp.where(fine, allowed, _SHORTER)
-            least = tolerance * arm * (_SAFETY / allowed) ** 4
+            least = tolerance * arm * (SAFETY / allowed) ** 4
             off = _at_least(off, lax.stop_gradient(least), fine)
             fine = fine | (jnp.max(jnp.abs(off.position)) > 0)  # else nothing tells it
         begin, end = h * rates[0], h * rates[5]
@@ -298,3 +292,7 @@ class ESDIRK(AbstractSolver):
     def scheme(self) -> Esdirk:
         """Of order 4, as accurate as asked."""
         return Esdirk(self.tolerance)
+
+    def controlled(self, tolerance: Float[Array, ""], chain: Chain) -> Eased:
+        """Few steps are taken again, for each has a matrix of its own."""
+        return Eased(tolerance, jnp.max(chain.length))
