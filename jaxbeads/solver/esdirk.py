@@ -270,7 +270,7 @@ class ESDIRK(AbstractSolver):
     """Implicit steps for stiff scenes of any size, as `ESDIRK(tolerance=1e-5)`: the scheme `Esdirk`.
 
     For many fibres, and long ones, that `Rosenbrock` cannot hold as one matrix. The error over a path is
-    ten to forty times the tolerance.
+    ten to forty times the tolerance, and more for fibres that slide over one another.
 
     **Arguments**, by name: as for `AbstractSolver`.
 
