@@ -247,9 +247,8 @@ class Esdirk(diffrax.AbstractAdaptiveSolver):
             # they allow, and one in which they did not converge is taken again.
             many = _MANY if left_out is None else _MANY_COARSE
             allowed = jnp.clip(many / most.astype(dtype), 0.95, _LONGEST)
-            arm = jnp.max(args.chain.length)
             allowed = jnp.where(fine, allowed, _SHORTER)
-            least = tolerance * arm * (SAFETY / allowed) ** 4
+            least = tolerance * jnp.max(args.chain.length) * (SAFETY / allowed) ** 4
             off = _at_least(off, lax.stop_gradient(least), fine)
             fine = fine | (jnp.max(jnp.abs(off.position)) > 0)  # else nothing tells it
         begin, end = h * rates[0], h * rates[5]
